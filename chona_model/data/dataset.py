@@ -1,0 +1,201 @@
+"""What every reader returns: views with cameras, masks and poses, in this package's conventions.
+
+Readers convert once (axes, pixel centres, units); nothing after them knows which dataset a view came from.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from chona_model.camera import Camera
+from chona_model.skeleton import Skeleton
+
+
+class DatasetError(ValueError):
+    """A capture that cannot be used: the message says what was found, what was expected and what to do."""
+
+
+@dataclass(frozen=True)
+class SkinnedSurface:
+    """A body model's surface in canonical space, from which skinning weights can be started.
+
+    Attributes:
+        vertices: [V, 3] metres.
+        weights: [V, B] rows sum to one.
+        faces: [F, 3] vertex indices.
+    """
+
+    vertices: np.ndarray
+    weights: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True)
+class Person:
+    """One human identity.
+
+    Attributes:
+        name: as the user chooses it in Blender.
+        rest_joints: [B, 3] canonical joints, metres.
+        surface: the body model in canonical space, where the dataset has one.
+    """
+
+    name: str
+    rest_joints: np.ndarray
+    surface: SkinnedSurface | None = None
+
+
+@dataclass(frozen=True)
+class ObjectShape:
+    """One object identity: an extent around its rigid frame.
+
+    Attributes:
+        name: as the user chooses it in Blender.
+        lower, upper: [3] corners of a box in the object's own frame, metres.
+    """
+
+    name: str
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A person and its objects at one moment, float64, metres.
+
+    Attributes:
+        person: name of the person, or None for an object alone.
+        objects: names of the N objects.
+        world_from_bone: [B, 4, 4] posed bone frames.
+        world_from_object: [N, 4, 4] rigid object frames.
+    """
+
+    person: str | None
+    objects: tuple[str, ...]
+    world_from_bone: np.ndarray
+    world_from_object: np.ndarray
+
+
+@dataclass(frozen=True)
+class View:
+    """One image of one frame. A missing mask means that part is not in the picture, or that the set lacks it."""
+
+    sequence: str
+    frame: str
+    camera_name: str
+    camera: Camera
+    pose: Pose
+    image: Path
+    person_mask: Path | None = None
+    object_mask: Path | None = None
+
+    @property
+    def label(self) -> str:
+        """``sequence_frame_camera``, as evaluated images are named."""
+        return f"{self.sequence}_{self.frame}_{self.camera_name}"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A capture, or several joined.
+
+    Attributes:
+        skeleton: shared by all persons.
+        persons, objects: identities by name.
+        views: every usable view.
+        gaps: what was missing and skipped, counted by kind ("person mask", "frame", …).
+    """
+
+    skeleton: Skeleton
+    persons: Mapping[str, Person]
+    objects: Mapping[str, ObjectShape]
+    views: tuple[View, ...]
+    gaps: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """A view's pixels with the background removed.
+
+    Attributes:
+        rgb: [H, W, 3] float32 in 0…1, sRGB encoded, black outside the masks.
+        person, object: [H, W] bool, disjoint.
+    """
+
+    rgb: np.ndarray
+    person: np.ndarray
+    object: np.ndarray
+
+    @property
+    def mask(self) -> np.ndarray:
+        """[H, W] bool: person or object."""
+        return self.person | self.object
+
+
+MASK_THRESHOLD = 127
+"""Masks are 8-bit and may be JPEG (BEHAVE): anything above is inside."""
+
+
+def read_image(path: Path, mode: str) -> np.ndarray:
+    """An 8-bit image as a uint8 array, whole or not at all.
+
+    Raises:
+        DatasetError: the file is missing, truncated or no image.
+    """
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert(mode))
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DatasetError(
+            f"cannot read the image {path}: {error}; expected a complete JPEG or PNG file, copy it again or delete it "
+            "so that it counts as missing"
+        ) from error
+
+
+def load_pixels(view: View, scale: float = 1.0) -> Pixels:
+    """Reads a view's image and masks and removes the background.
+
+    Masks are made disjoint (a pixel claimed by both goes to the person).  With ``scale`` below 1 the colours are area
+    averages over the masked image, and a pixel belongs to a part when most of its area does.
+
+    Raises:
+        DatasetError: a file is damaged or the sizes of image, mask and camera differ.
+    """
+    rgb = read_image(view.image, "RGB")
+    size = (view.camera.height, view.camera.width)
+    if rgb.shape[:2] != size:
+        raise DatasetError(
+            f"{view.image} is {rgb.shape[1]}x{rgb.shape[0]} pixels, its calibration says {size[1]}x{size[0]}; use the "
+            "images that belong to this calibration"
+        )
+    person, obj = (_read_mask(path, size) for path in (view.person_mask, view.object_mask))
+    obj = obj & ~person
+    colour = np.where((person | obj)[..., None], rgb, 0).astype(np.float32) / 255.0
+    if scale == 1.0:
+        return Pixels(colour, person, obj)
+    small = view.camera.scaled(scale)
+    person_share, object_share = (_shrink(part.astype(np.float32), small) for part in (person, obj))
+    inside = person_share + object_share > 0.5
+    colour = np.stack([_shrink(colour[..., channel], small) for channel in range(3)], axis=-1)
+    person = inside & (person_share >= object_share)
+    return Pixels(np.where(inside[..., None], colour, 0.0).astype(np.float32), person, inside & ~person)
+
+
+def _read_mask(path: Path | None, size: tuple[int, int]) -> np.ndarray:
+    if path is None:
+        return np.zeros(size, dtype=bool)
+    mask = read_image(path, "L")
+    if mask.shape != size:
+        raise DatasetError(f"{path} is {mask.shape[1]}x{mask.shape[0]} pixels, its image {size[1]}x{size[0]}")
+    return mask > MASK_THRESHOLD
+
+
+def _shrink(channel: np.ndarray, camera: Camera) -> np.ndarray:
+    image = Image.fromarray(channel, mode="F")
+    return np.asarray(image.resize((camera.width, camera.height), Image.Resampling.BOX))
