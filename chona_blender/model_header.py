@@ -1,0 +1,158 @@
+"""What the add-on has to know of a model file: its safetensors header, read with the standard library alone."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import ChonaError
+
+MODEL_VERSION = 1
+"""Version of the model format that this add-on reads."""
+
+LARGEST_HEADER = 100_000_000
+"""Bytes; a longer header is taken for a file of another kind."""
+
+
+@dataclass(frozen=True)
+class ModelHeader:
+    """Skeleton and identities of a model file.
+
+    Attributes:
+        path: the file.
+        names: B bone names, parents before children.
+        parents: B indices of parents, -1 for the root.
+        persons: rest joints [B, 3] of every person, canonical space (T-pose, y up, facing +z), metres.
+        objects: corners (lower [3], upper [3]) of every object in its own frame, metres.
+        object_distance: how far in front of the root joint (+z) objects lie in canonical space, metres.
+        method: name of the trained method.
+        version: format version of the file.
+        raw: the whole JSON description.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    persons: dict[str, np.ndarray]
+    objects: dict[str, tuple[np.ndarray, np.ndarray]]
+    object_distance: float
+    method: str
+    version: int
+    raw: dict[str, Any] = field(repr=False, compare=False)
+
+    def rest_joints(self, person: str) -> np.ndarray:
+        """Canonical rest joints [B, 3] of a person, metres.
+
+        Raises:
+            ChonaError: the model has no such person.
+        """
+        if person not in self.persons:
+            raise ChonaError(
+                f"Model '{self.path.name}' has no person '{person}'. It has: {_listed(self.persons)}. Choose one"
+            )
+        return self.persons[person]
+
+    def extents(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (lower [3], upper [3]) of an object in its own frame, metres.
+
+        Raises:
+            ChonaError: the model has no such object.
+        """
+        if name not in self.objects:
+            raise ChonaError(
+                f"Model '{self.path.name}' has no object '{name}'. It has: {_listed(self.objects)}. Choose one"
+            )
+        return self.objects[name]
+
+    def canonical_object(self, person: str | None) -> np.ndarray:
+        """Canonical position [3] of every object's frame, metres; without a person that of the first person."""
+        joints = self.rest_joints(person) if person else next(iter(self.persons.values()), np.zeros((1, 3)))
+        return joints[0] + np.array([0.0, 0.0, self.object_distance])
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(f"'{name}'" for name in names) or "none"
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    """The JSON header of a safetensors file."""
+    other = f"'{path}' is not a CHONA model file (a .safetensors file that 'chona train' writes)"
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            start = file.read(8)
+            if len(start) < 8:
+                raise ChonaError(f"{other}: it has only {size} bytes. Choose another file")
+            length = struct.unpack("<Q", start)[0]
+            if length >= LARGEST_HEADER or length + 8 > size:
+                raise ChonaError(
+                    f"{other}: its header claims {length} bytes and the file has {size}. It may be cut short: copy it "
+                    "again, or choose another file"
+                )
+            text = file.read(length)
+    except FileNotFoundError:
+        raise ChonaError(f"There is no model file '{path}'. Choose a .safetensors file from 'chona train'") from None
+    except OSError as error:
+        raise ChonaError(f"Model file '{path}' cannot be read ({error.strerror}). Choose another file") from error
+    try:
+        header = json.loads(text)
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        raise ChonaError(f"{other}: its header is not JSON. Choose another file") from None
+    metadata = header.get("__metadata__") if isinstance(header, dict) else None
+    if not isinstance(metadata, dict) or not isinstance(metadata.get("chona"), str):
+        raise ChonaError(f"{other}: its header has no entry 'chona'. Choose another file")
+    try:
+        raw = json.loads(metadata["chona"])
+    except json.JSONDecodeError:
+        raise ChonaError(f"{other}: its entry 'chona' is not JSON. Choose another file") from None
+    if not isinstance(raw, dict) or raw.get("format") != "chona-model":
+        raise ChonaError(f"{other}: its format is not 'chona-model'. Choose another file")
+    return raw
+
+
+def _joints(value: Any, bones: int, person: str, path: Path) -> np.ndarray:
+    joints = np.array(value, dtype=np.float64)
+    if joints.shape != (bones, 3) or not np.isfinite(joints).all():
+        raise ChonaError(
+            f"Model '{path.name}': person '{person}' has rest joints of shape {list(joints.shape)}, expected "
+            f"[{bones}, 3] finite numbers. Train the model again"
+        )
+    return joints
+
+
+def read_model_header(path: str | Path) -> ModelHeader:
+    """Reads a model file's description; no tensor is touched.
+
+    Raises:
+        ChonaError: no such file, not a model file, another version, or a description that contradicts itself.
+    """
+    path = Path(path)
+    raw = _read_metadata(path)
+    version = raw.get("version")
+    if version != MODEL_VERSION:
+        newer = isinstance(version, int) and version > MODEL_VERSION
+        remedy = "update the add-on" if newer else "train the model again with this version's 'chona train'"
+        raise ChonaError(
+            f"'{path.name}' is model version {version}, this add-on reads version {MODEL_VERSION}: {remedy}"
+        )
+    try:
+        names = tuple(str(name) for name in raw["skeleton"]["names"])
+        parents = tuple(int(parent) for parent in raw["skeleton"]["parents"])
+        if len(names) != len(parents) or any(parent >= index for index, parent in enumerate(parents)):
+            raise ValueError("parents must come before their children")
+        persons = {name: _joints(each["rest_joints"], len(names), name, path) for name, each in raw["persons"].items()}
+        objects = {
+            name: (np.array(each["lower"], dtype=np.float64), np.array(each["upper"], dtype=np.float64))
+            for name, each in raw["objects"].items()
+        }
+        distance = float(raw.get("object_distance", 0.0))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ChonaError(
+            f"Model '{path.name}' has a damaged description ({type(error).__name__}: {error}). Train or copy it again"
+        ) from error
+    return ModelHeader(path, names, parents, persons, objects, distance, str(raw.get("method", "")), version, raw)
