@@ -1,0 +1,60 @@
+"""Multi-resolution grid encoding in plain torch; gradients to points and table come from autograd."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from chona_model.kernels.grid import GridLayout
+
+PRIME_Y = 2654435761
+PRIME_Z = 805459861
+
+
+def encode(points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Interpolated features of every level.
+
+    Args:
+        points: [M, 3] metres from each identity's lower corner, ≥ 0.
+        identity: [M] integer.
+        table: [I, L, T, F].
+        layout: the grid's shape.
+
+    Returns:
+        [M, L · F], in the points' dtype.
+    """
+    levels, rows, features = table.shape[1:]
+    flat = table.reshape(-1, features)
+    offsets = corner_offsets(points.device)
+    first_row = identity.long() * levels
+    columns = []
+    for level in range(levels):
+        scaled = points * float(layout.inverse_cells[level])
+        lower = scaled.detach().long()
+        dims = [int(n) for n in layout.dims[level]]
+        dense = bool(layout.dense[level])
+        if dense:
+            lower = torch.minimum(lower, lower.new_tensor(dims) - 2)
+        share = scaled - lower
+        weight = torch.where(offsets.bool(), share[:, None], 1.0 - share[:, None]).prod(dim=-1)
+        row = _corner_rows(lower[:, None] + offsets, dims, dense, rows) + ((first_row + level) * rows)[:, None]
+        columns.append((weight[..., None] * flat[row]).sum(dim=1))
+    return torch.cat(columns, dim=-1)
+
+
+def corner_offsets(device: torch.device) -> Tensor:
+    """[8, 3] steps from a cell's lower corner to all of its corners, x fastest."""
+    corner = torch.arange(8, device=device)
+    return torch.stack([corner & 1, (corner >> 1) & 1, corner >> 2], dim=-1)
+
+
+def _corner_rows(corners: Tensor, dims: list[int], dense: bool, rows: int) -> Tensor:
+    """Rows [M, 8] of grid corners [M, 8, 3] inside their level: the plain index where it is dense, else the hash."""
+    x, y, z = corners.unbind(dim=-1)
+    if dense:
+        return x + dims[0] * (y + dims[1] * z)
+    # The low bits of 64-bit products are those of 32-bit ones, and the mask keeps no others.
+    return (x ^ (y * PRIME_Y) ^ (z * PRIME_Z)) & (rows - 1)
