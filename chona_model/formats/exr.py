@@ -1,0 +1,149 @@
+"""Baked frames: single-part EXR with colour, depth, mattes and confidence, as ``docs/file-formats.md`` describes them.
+
+Single-part, with a pass and a channel letter in every name: what every Blender from 4.2 on reads alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from chona_model.formats.atomic import atomic_path
+from chona_model.formats.exr_structure import ExrError, check_exr
+
+LAYER = "CHONA"
+EMPTY_DEPTH = 1e10
+"""Depth of a pixel that nothing covers, as Blender writes it."""
+HALF_MAX = 65504.0
+_MATTES = {"human": "Human", "object": "Object", "confidence": "Confidence"}
+
+__all__ = ["EMPTY_DEPTH", "LAYER", "ExrError", "FrameHeader", "FrameLayers", "frame_name", "is_finished", "read_frame",
+           "write_frame"]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FrameLayers:
+    """The pixels of one frame.
+
+    Attributes:
+        combined: [H, W, 4] scene-linear Rec.709, premultiplied.
+        depth: [H, W] metres along the camera axis, ``EMPTY_DEPTH`` where empty.
+        human, object: [H, W] share of the pixel's alpha that is the person or an object.
+        confidence: [H, W] share of samples whose inverse skinning converged.
+    """
+
+    combined: np.ndarray
+    depth: np.ndarray
+    human: np.ndarray
+    object: np.ndarray
+    confidence: np.ndarray
+
+
+@dataclass(frozen=True)
+class FrameHeader:
+    """Where a frame came from.
+
+    Attributes:
+        model: SHA-256 of the model file.
+        shot: SHA-256 of the frame's pose, camera and settings.
+        preset: name.
+        settings: JSON.
+        seconds: render time.
+        frame: scene frame number.
+    """
+
+    model: str
+    shot: str
+    preset: str
+    settings: str
+    seconds: float
+    frame: int
+
+
+def frame_name(shot_name: str, frame: int) -> str:
+    """``walk_0001.exr``; negative frames keep their sign: ``walk_-0001.exr``."""
+    sign = "-" if frame < 0 else ""
+    return f"{shot_name}_{sign}{abs(frame):04d}.exr"
+
+
+def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
+    """Writes one frame whole or not at all, over what was there.
+
+    Colours beyond half precision's range are limited to it.
+
+    Raises:
+        ExrError: shapes differ or a value is not finite.
+        OSError: the disk is full or the folder cannot be written to.
+    """
+    _check_layers(layers)
+    channels = {
+        f"{LAYER}.Combined": np.clip(layers.combined, -HALF_MAX, HALF_MAX).astype(np.float16),
+        f"{LAYER}.Depth.Z": np.ascontiguousarray(layers.depth, dtype=np.float32),
+    }
+    for field, name in _MATTES.items():
+        channels[f"{LAYER}.{name}.V"] = np.ascontiguousarray(getattr(layers, field), dtype=np.float16)
+    attributes = {
+        "type": OpenEXR.scanlineimage,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "chona:model": header.model,
+        "chona:shot": header.shot,
+        "chona:preset": header.preset,
+        "chona:settings": header.settings,
+        "chona:seconds": float(header.seconds),
+        "chona:frame": int(header.frame),
+    }
+    with atomic_path(path) as temporary:
+        try:
+            OpenEXR.File(attributes, channels).write(str(temporary))
+        except (RuntimeError, ValueError) as error:
+            raise OSError(f"cannot write {path}: {error}; check the disk's space and the folder's rights") from error
+        check_exr(temporary)  # a full disk must not leave a frame that counts as finished
+
+
+def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
+    """Reads a frame that ``write_frame`` wrote; arrays are float32.
+
+    Raises:
+        ExrError: the file is missing, damaged, or lacks channels or attributes of this program.
+    """
+    check_exr(path)
+    try:
+        with OpenEXR.File(str(path)) as file:
+            attributes = file.header()
+            pixels = {name: channel.pixels.astype(np.float32) for name, channel in file.channels().items()}
+        layers = FrameLayers(
+            pixels[f"{LAYER}.Combined"],
+            pixels[f"{LAYER}.Depth.Z"],
+            *(pixels[f"{LAYER}.{name}.V"] for name in _MATTES.values()),
+        )
+        names = ("model", "shot", "preset", "settings", "seconds", "frame")
+        return layers, FrameHeader(*(attributes[f"chona:{name}"] for name in names))
+    except KeyError as error:
+        raise ExrError(f"{path} lacks {error}; expected a frame baked by this program") from error
+    except (RuntimeError, ValueError) as error:
+        raise ExrError(f"cannot read {path}: {error}; render it again") from error
+
+
+def is_finished(path: Path, model_hash: str, shot_hash: str) -> bool:
+    """Whether ``path`` is a whole frame of this model, pose, camera and settings; anything else is rendered again."""
+    try:
+        structure = check_exr(path)
+    except ExrError:
+        return False
+    return structure.text("chona:model") == model_hash and structure.text("chona:shot") == shot_hash
+
+
+def _check_layers(layers: FrameLayers) -> None:
+    size = layers.depth.shape
+    if layers.combined.ndim != 3 or layers.combined.shape != (*size, 4) or 0 in size:
+        raise ExrError(f"combined has the shape {layers.combined.shape}, expected [H, W, 4] over depth's {size}")
+    for name in ("combined", "depth", *_MATTES):
+        array = getattr(layers, name)
+        if name != "combined" and array.shape != size:
+            raise ExrError(f"{name} has the shape {array.shape}, expected {size}")
+        if not np.isfinite(array).all():
+            count = int((~np.isfinite(array)).sum())
+            raise ExrError(f"{name} has {count} values that are not finite; such a frame would spoil a composite")

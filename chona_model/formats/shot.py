@@ -1,0 +1,316 @@
+"""The shot: cameras and actors over a frame range, as ``docs/file-formats.md`` describes it.
+
+A shot is checked whole when it is read and before it is written, so that nothing behind it meets a NaN, a sheared bone
+or a frame twice.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from chona_model.camera import ORTHOGRAPHIC, PERSPECTIVE, Camera
+from chona_model.data.dataset import Pose
+from chona_model.formats.atomic import atomic_path
+
+FORMAT = "chona-shot"
+VERSION = 1
+RIGID_TOLERANCE = 1e-4
+"""Largest entry of RᵀR − I and of the last row's error that still counts as rigid."""
+MAX_IMAGE_SIZE = 65536
+_RESERVED = frozenset('/\\:*?"<>|\0')
+
+
+class ShotError(ValueError):
+    """A shot that cannot be rendered: the message says what was found, what was expected and what to do."""
+
+
+class _Kind(msgspec.Struct):
+    """What every version of the header has."""
+
+    format: str
+    version: int
+
+
+class _ActorHeader(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    person: str | None
+    objects: list[str]
+    bones: list[str]
+
+
+class _Header(msgspec.Struct, forbid_unknown_fields=True):
+    format: str
+    version: int
+    name: str
+    fps: float
+    width: int
+    height: int
+    camera_kind: Literal["PERSP", "ORTHO"]
+    actors: list[_ActorHeader]
+
+
+@dataclass(frozen=True)
+class ShotActor:
+    """One actor over the F frames of a shot.
+
+    Attributes:
+        name: as the scene calls it, unique in the shot.
+        person: identity, or None for objects alone.
+        objects: N identities.
+        bones: B names in the order of ``world_from_bone``.
+        world_from_bone: [F, B, 4, 4] rigid, metres.
+        world_from_object: [F, N, 4, 4] rigid, metres.
+    """
+
+    name: str
+    person: str | None
+    objects: tuple[str, ...]
+    bones: tuple[str, ...]
+    world_from_bone: np.ndarray
+    world_from_object: np.ndarray
+
+    def pose(self, index: int) -> Pose:
+        """The actor in the frame at ``index`` (a position in ``Shot.frames``, not a frame number)."""
+        return Pose(self.person, self.objects, self.world_from_bone[index], self.world_from_object[index])
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Cameras and actors over F frames; checked on construction.
+
+    Attributes:
+        name: stem of the baked files' names.
+        fps: frames a second.
+        width, height: pixels.
+        camera_kind: ``PERSP`` or ``ORTHO``.
+        frames: [F] int64, increasing, may be negative.
+        intrinsics: [F, 3, 3] pixels (``ORTHO``: pixels a metre), pixel centres at +0.5.
+        world_from_camera: [F, 4, 4] rigid, OpenCV axes, metres.
+        clip: [F, 2] near and far along the camera axis, metres.
+        actors: at least one.
+
+    Raises:
+        ShotError: anything of this does not hold; the message names the array, the actor, the bone and the frame.
+    """
+
+    name: str
+    fps: float
+    width: int
+    height: int
+    camera_kind: str
+    frames: np.ndarray
+    intrinsics: np.ndarray
+    world_from_camera: np.ndarray
+    clip: np.ndarray
+    actors: tuple[ShotActor, ...]
+
+    def __post_init__(self) -> None:
+        _check_header(self)
+        _check_frames(self.frames)
+        _check_cameras(self)
+        for actor in self.actors:
+            _check_actor(actor, self.frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def camera(self, index: int) -> Camera:
+        """The camera of the frame at ``index`` (a position in ``frames``, not a frame number)."""
+        return Camera(
+            self.intrinsics[index], self.world_from_camera[index], self.width, self.height, kind=self.camera_kind
+        )
+
+
+def write_shot(path: Path, shot: Shot) -> None:
+    """Writes a shot whole or not at all.
+
+    Raises:
+        OSError: the disk is full or the folder cannot be written to.
+    """
+    header = _Header(
+        format=FORMAT,
+        version=VERSION,
+        name=shot.name,
+        fps=shot.fps,
+        width=shot.width,
+        height=shot.height,
+        camera_kind="ORTHO" if shot.camera_kind == ORTHOGRAPHIC else "PERSP",
+        actors=[_ActorHeader(a.name, a.person, list(a.objects), list(a.bones)) for a in shot.actors],
+    )
+    arrays = {
+        "header": np.frombuffer(msgspec.json.encode(header), dtype=np.uint8),
+        "frames": shot.frames,
+        "camera.intrinsics": shot.intrinsics,
+        "camera.world_from_camera": shot.world_from_camera,
+        "camera.clip": shot.clip,
+    }
+    for index, actor in enumerate(shot.actors):
+        arrays[f"actor.{index}.world_from_bone"] = actor.world_from_bone
+        arrays[f"actor.{index}.world_from_object"] = actor.world_from_object
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def read_shot(path: Path) -> Shot:
+    """Reads and checks a shot.
+
+    Raises:
+        ShotError: the file is missing, damaged, of another version, or its contents break the format.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise ShotError(
+            f"cannot read the shot {path}: {error}; expected a file NAME.shot.npz, export it again"
+        ) from error
+    header = _header(arrays, path)
+    try:
+        actors = tuple(
+            ShotActor(
+                actor.name,
+                actor.person,
+                tuple(actor.objects),
+                tuple(actor.bones),
+                _array(arrays, f"actor.{index}.world_from_bone"),
+                _array(arrays, f"actor.{index}.world_from_object"),
+            )
+            for index, actor in enumerate(header.actors)
+        )
+        return Shot(
+            header.name,
+            header.fps,
+            header.width,
+            header.height,
+            header.camera_kind,
+            _array(arrays, "frames", "iu"),
+            _array(arrays, "camera.intrinsics"),
+            _array(arrays, "camera.world_from_camera"),
+            _array(arrays, "camera.clip"),
+            actors,
+        )
+    except ShotError as error:
+        raise ShotError(f"{path}: {error}") from error
+
+
+def _header(arrays: Mapping[str, np.ndarray], path: Path) -> _Header:
+    if "header" not in arrays or arrays["header"].dtype != np.uint8:
+        raise ShotError(f"{path} has no header (uint8, JSON); expected a shot written by the add-on, export it again")
+    text = arrays["header"].tobytes()
+    try:
+        kind = msgspec.json.decode(text, type=_Kind)
+        if kind.format != FORMAT:
+            raise ShotError(f"{path} is a '{kind.format}', expected a '{FORMAT}'")
+        if kind.version != VERSION:
+            raise ShotError(
+                f"{path} is a shot of version {kind.version}, this program reads version {VERSION}; export it again "
+                "with the add-on that came with this program"
+            )
+        return msgspec.json.decode(text, type=_Header)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ShotError(f"the header of {path} breaks the format: {error}; export the shot again") from error
+
+
+def _array(arrays: Mapping[str, np.ndarray], name: str, kinds: str = "f") -> np.ndarray:
+    if name not in arrays:
+        raise ShotError(f"the array '{name}' is missing; export the shot again")
+    array = arrays[name]
+    if array.dtype.kind not in kinds:
+        raise ShotError(f"'{name}' has the type {array.dtype}, expected {'float64' if kinds == 'f' else 'int64'}")
+    return array.astype(np.float64 if kinds == "f" else np.int64)
+
+
+def _check_header(shot: Shot) -> None:
+    if not shot.name or shot.name.strip() != shot.name or _RESERVED & set(shot.name) or shot.name.startswith("."):
+        raise ShotError(f"the shot is called {shot.name!r}, expected a name that can be part of a file name")
+    if not (np.isfinite(shot.fps) and shot.fps > 0):
+        raise ShotError(f"fps is {shot.fps}, expected a positive number")
+    if not (1 <= shot.width <= MAX_IMAGE_SIZE and 1 <= shot.height <= MAX_IMAGE_SIZE):
+        raise ShotError(f"the image has {shot.width}x{shot.height} pixels, expected 1 to {MAX_IMAGE_SIZE} each way")
+    if shot.camera_kind not in (PERSPECTIVE, ORTHOGRAPHIC):
+        raise ShotError(f"camera_kind is '{shot.camera_kind}', expected {PERSPECTIVE} or {ORTHOGRAPHIC}")
+    if not shot.actors:
+        raise ShotError("the shot has no actor; map a rig or an object to the model before exporting")
+    names = [actor.name for actor in shot.actors]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise ShotError(f"two actors are called '{doubled[0]}'; give each its own name")
+
+
+def _check_frames(frames: np.ndarray) -> None:
+    if frames.ndim != 1 or frames.dtype.kind not in "iu":
+        raise ShotError(f"frames has the shape {frames.shape} and type {frames.dtype}, expected [F] int64")
+    if not len(frames):
+        raise ShotError("the frame range is empty; expected at least one frame, check the scene's start and end")
+    back = np.flatnonzero(np.diff(frames) <= 0)
+    if len(back):
+        before, after = frames[back[0]], frames[back[0] + 1]
+        raise ShotError(f"frames must increase, but {after} follows {before}; export each frame once, in order")
+
+
+def _check_cameras(shot: Shot) -> None:
+    count = len(shot.frames)
+    _check_shape("camera.intrinsics", shot.intrinsics, (count, 3, 3))
+    _check_shape("camera.world_from_camera", shot.world_from_camera, (count, 4, 4))
+    _check_shape("camera.clip", shot.clip, (count, 2))
+    _check_rigid(shot.world_from_camera[:, None], shot.frames, ["the camera"])
+    for index, frame in enumerate(shot.frames):
+        matrix, (near, far) = shot.intrinsics[index], shot.clip[index]
+        if not np.isfinite(matrix).all():
+            raise ShotError(f"the camera's intrinsics in frame {frame} are not finite")
+        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or (matrix[2] != (0.0, 0.0, 1.0)).any() or matrix[1, 0] != 0:
+            raise ShotError(
+                f"the camera's intrinsics in frame {frame} are {matrix.tolist()}, expected positive focal lengths on "
+                "an upper triangular matrix with the last row 0, 0, 1"
+            )
+        if not (np.isfinite(near) and np.isfinite(far) and near < far) or (
+            near < 0 and shot.camera_kind == PERSPECTIVE
+        ):
+            raise ShotError(f"the camera's clip range in frame {frame} is {near} to {far}, expected 0 <= near < far")
+
+
+def _check_actor(actor: ShotActor, frames: np.ndarray) -> None:
+    if not actor.bones and not actor.objects:
+        raise ShotError(f"actor '{actor.name}' has neither bones nor objects; map at least one")
+    if actor.person is not None and not actor.bones:
+        raise ShotError(f"actor '{actor.name}' is the person '{actor.person}' but has no bones; map its rig")
+    if len(set(actor.bones)) != len(actor.bones):
+        raise ShotError(f"actor '{actor.name}' has a bone name twice; bone names must be unique")
+    label = f"of actor '{actor.name}'"
+    _check_shape(f"world_from_bone {label}", actor.world_from_bone, (len(frames), len(actor.bones), 4, 4))
+    _check_shape(f"world_from_object {label}", actor.world_from_object, (len(frames), len(actor.objects), 4, 4))
+    _check_rigid(actor.world_from_bone, frames, [f"bone '{bone}' {label}" for bone in actor.bones])
+    _check_rigid(actor.world_from_object, frames, [f"object '{name}' {label}" for name in actor.objects])
+
+
+def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
+    if array.shape != expected:
+        raise ShotError(f"{name} has the shape {array.shape}, expected {expected}")
+
+
+def _check_rigid(matrices: np.ndarray, frames: np.ndarray, names: list[str]) -> None:
+    """``matrices`` [F, K, 4, 4] against the names of the K things."""
+    finite = np.isfinite(matrices).all(axis=(-1, -2))
+    if not finite.all():
+        frame, item = np.argwhere(~finite)[0]
+        raise ShotError(f"{names[item]} in frame {frames[frame]} has a matrix that is not finite; check its animation")
+    rotation = matrices[..., :3, :3]
+    gram = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+    last = np.abs(matrices[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1, initial=0.0)
+    error = np.maximum(gram, last)
+    mirrored = np.linalg.det(rotation) < 0
+    wrong = (error > RIGID_TOLERANCE) | mirrored
+    if wrong.any():
+        frame, item = np.argwhere(wrong)[0]
+        cause = "is mirrored" if mirrored[frame, item] else f"is scaled or sheared (by {error[frame, item]:.3g})"
+        raise ShotError(
+            f"{names[item]} in frame {frames[frame]} {cause}, expected a rigid matrix to {RIGID_TOLERANCE:g}; apply "
+            "its scale in Blender"
+        )
