@@ -20,12 +20,14 @@ class InverseSettings:
         steps: Newton steps at most.
         tolerance: residual at which a root counts as found, as a share of the figure's size.
         divergence: residual beyond which a start is given up, as a share of the figure's size.
+        background: whether Newton also starts from the posed point itself, the background bone's inverse.
     """
 
     starts: int = 5
     steps: int = 20
     tolerance: float = 1e-5
     divergence: float = 2.0
+    background: bool = True
 
 
 @dataclass(frozen=True)

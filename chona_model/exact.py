@@ -1,0 +1,288 @@
+"""The paper's path, nothing cached and nothing skipped: the oracle that every faster path is measured against.
+
+rays → conical frusta → canonical roots from K starts → conditional field at every distinct root → the densest root →
+volume integration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from chona_model.deform.gradients import attach_implicit_gradients
+from chona_model.deform.inverse import Roots, bone_starts, find_roots
+from chona_model.deform.regularisers import bone_regularisers
+from chona_model.deform.skinning import ForwardSkinning
+from chona_model.exact_shape import ExactShape
+from chona_model.field.codes import IdentityCodes
+from chona_model.field.radiance import FieldSample, RadianceField
+from chona_model.figure import PoseBatch, RayBatch, RayResult, pose_code_size
+from chona_model.geometry import inverse_3x3, safe_divide
+from chona_model.render.frustum import conical_frusta, cylinders
+from chona_model.render.integration import EMPTY_DEPTH, integrate, ray_weights, visible_confidence
+from chona_model.render.sampling import stratified_edges
+from chona_model.settings import ExactSettings
+
+COVARIANCES = ("warped", "plain")
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Samples of the rays that hit, before integration: [R, S] or [R, S, 3]."""
+
+    rgb: Tensor
+    density: Tensor
+    shares: Tensor
+    converged: Tensor
+
+
+class ExactModel(nn.Module):
+    """Skinning, offset, codes and field as one module; parameters' dtype must be the rays'."""
+
+    def __init__(self, shape: ExactShape) -> None:
+        super().__init__()
+        self.shape = shape
+        pose = pose_code_size(shape.bones, shape.object_slots)
+        self.deform = ForwardSkinning(shape.deform, shape.bones + shape.object_slots, pose, shape.centre, shape.scale)
+        self.codes = IdentityCodes(shape.n_persons, shape.n_objects, shape.code_size)
+        condition = shape.code_size * (1 + shape.object_slots)
+        self.field = RadianceField(shape.radiance, condition, pose, shape.centre, shape.scale)
+        boxes = torch.tensor([shape.object_lower, shape.object_upper], dtype=torch.float64).reshape(2, -1, 3)
+        self.register_buffer("object_boxes", boxes, persistent=False)
+        corners = torch.tensor([shape.lower, shape.upper], dtype=torch.float64)
+        self.register_buffer("corners", corners, persistent=False)
+
+    def canonical_boxes(self, poses: PoseBatch) -> Tensor:
+        """[P, N, 2, 3] corners of every slot's object in canonical space; points where the model has no boxes."""
+        root = poses.heads[:, :1, :].clone()
+        root[..., 2] += self.shape.object_distance
+        places = root.expand(-1, self.shape.object_slots, -1)[:, :, None, :].expand(-1, -1, 2, -1)
+        boxes = self.get_buffer("object_boxes").to(places)
+        if boxes.shape[1] == 0:
+            return places
+        chosen = boxes[:, poses.objects.clamp(min=0)].permute(1, 2, 0, 3)
+        return places + torch.where((poses.objects >= 0)[..., None, None], chosen, 0.0)
+
+    def query_canonical(
+        self,
+        points: Tensor,
+        covariances: Tensor,
+        person_codes: Tensor,
+        object_codes: Tensor,
+        pose_codes: Tensor | None = None,
+        *,
+        identity_index: Tensor | None = None,
+        pose_index: Tensor | None = None,
+    ) -> FieldSample:
+        """The field at canonical points.
+
+        Args:
+            points: [M, 3] metres; covariances: [M, 3, 3] or diagonals [M, 3].
+            person_codes: [U, C]; object_codes: [U, N, C]; identity_index: [M], not needed where U is 1 or M.
+            pose_codes: [P, pose code] and pose_index [M], or None for no occlusion.
+        """
+        identity = torch.cat([person_codes, object_codes.flatten(-2)], dim=-1)
+        return self.field(
+            points, covariances, identity, pose_codes, identity_index=identity_index, pose_index=pose_index
+        )
+
+    def find_canonical(self, targets: Tensor, poses: PoseBatch, index: Tensor, settings: ExactSettings) -> Roots:
+        """Canonical roots of root-space points [M, 3] whose poses are ``index`` [M]; no graph."""
+        starts, usable = bone_starts(
+            targets,
+            poses,
+            index,
+            count=settings.inverse.starts,
+            object_boxes=self.canonical_boxes(poses),
+            background=settings.inverse.background,
+            size=self.shape.size,
+        )
+
+        def warp(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+            return self.deform.with_jacobian(x, poses, index[rows], settings.offset)
+
+        return find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
+
+    def render_rays(  # noqa: PLR0917 - the interface that every renderer shares
+        self,
+        rays: RayBatch,
+        poses: PoseBatch,
+        persons: Tensor,
+        objects: Tensor,
+        settings: ExactSettings,
+        generator: torch.Generator | None = None,
+        *,
+        orthographic: bool = False,
+        chunk: int = 1024,
+    ) -> RayResult:
+        """Renders rays; in training mode with a graph and regularisers, else without and ``chunk`` rays at a time.
+
+        Args:
+            rays: root space; ``far <= near`` marks a miss, which costs nothing.
+            poses: the poses that ``rays.pose`` points into.
+            persons: [R], objects: [R, N] identities whose codes colour each ray (CIL's draw, or the poses' own).
+            generator: jitters the samples when given.
+            orthographic: the rays are cylinders of radius ``rays.radii``.
+
+        Raises:
+            ValueError: an unknown covariance, or parameters of another dtype than the rays.
+        """
+        if settings.covariance not in COVARIANCES:
+            raise ValueError(f"covariance is '{settings.covariance}', expected one of {', '.join(COVARIANCES)}")
+        parameter = next(self.parameters())
+        if parameter.dtype != rays.origins.dtype:
+            raise ValueError(
+                f"rays are {rays.origins.dtype}, the model's parameters {parameter.dtype}: convert one of them"
+            )
+        edges = stratified_edges(rays.near, rays.far, settings.samples, generator)
+        whole = torch.arange(len(rays.origins), device=rays.origins.device)
+        with torch.set_grad_enabled(self.training and torch.is_grad_enabled()):
+            parts = [
+                self._render(
+                    _take(rays, rows),
+                    edges[rows],
+                    poses,
+                    codes=(persons[rows], objects[rows]),
+                    settings=settings,
+                    orthographic=orthographic,
+                )
+                for rows in ([whole] if self.training else whole.split(chunk))
+            ]
+            result = _join(parts) if parts else _empty(rays)
+            if self.training:
+                result = replace(result, regularisers=self.regularisers(poses, generator))
+        return result
+
+    def regularisers(self, poses: PoseBatch, generator: torch.Generator | None = None) -> dict[str, Tensor]:
+        """The training terms ``weights`` (L_w) and ``offset`` (L_Δ) of ``bone_regularisers``."""
+        return bone_regularisers(self.deform, poses, self.canonical_boxes(poses), generator)
+
+    def _render(
+        self,
+        rays: RayBatch,
+        edges: Tensor,
+        poses: PoseBatch,
+        *,
+        codes: tuple[Tensor, Tensor],
+        settings: ExactSettings,
+        orthographic: bool,
+    ) -> RayResult:
+        hit = (rays.far > rays.near).nonzero()[:, 0]
+        result = _empty(rays)
+        if len(hit) == 0:
+            return result
+        part, edges = _take(rays, hit), edges[hit]
+        frusta = cylinders if orthographic else conical_frusta
+        depths, means, covariances = frusta(part.origins, part.directions, part.radii, edges)
+        identity = self.codes(codes[0][hit], codes[1][hit])
+        samples = self._sample(means, covariances, part.pose, poses, identity=identity, settings=settings)
+        lengths = (edges[:, 1:] - edges[:, :-1]) * torch.linalg.vector_norm(part.directions, dim=-1, keepdim=True)
+        light = ray_weights(samples.density, lengths)
+        pixels = integrate(light.weights, samples.rgb, depths, samples.shares)
+        return RayResult(
+            rgb=result.rgb.index_copy(0, hit, pixels.rgb),
+            alpha=result.alpha.index_copy(0, hit, pixels.alpha),
+            depth=result.depth.index_copy(0, hit, pixels.depth),
+            human=result.human.index_copy(0, hit, pixels.mattes[:, 0]),
+            object=result.object.index_copy(0, hit, pixels.mattes[:, 1]),
+            confidence=result.confidence.index_copy(0, hit, visible_confidence(light, samples.converged)),
+            # A sum for now: chunks differ in how many rays hit.
+            failed_share=torch.stack([(~samples.converged).sum(), torch.tensor(samples.converged.numel()).to(hit)]),
+            regularisers={},
+        )
+
+    def _sample(
+        self,
+        means: Tensor,
+        covariances: Tensor,
+        ray_pose: Tensor,
+        poses: PoseBatch,
+        *,
+        identity: Tensor,
+        settings: ExactSettings,
+    ) -> _Samples:
+        shape = means.shape[:2]
+        targets, posed_covariances = means.reshape(-1, 3), covariances.reshape(-1, 3, 3)
+        ray = torch.arange(shape[0], device=means.device).repeat_interleave(shape[1])
+        index = ray_pose[ray]
+        roots = self.find_canonical(targets, poses, index, settings)
+        chosen, usable = self._densest(roots, posed_covariances, identity, ray, settings)
+        rows = usable.nonzero()[:, 0]
+        found, jacobian = roots.points[rows, chosen[rows]], roots.jacobians[rows, chosen[rows]]
+        carried = _carry(posed_covariances[rows], jacobian, settings)
+        if torch.is_grad_enabled():
+            posed = self.deform(found, poses, index[rows], settings.offset)
+            found, _ = attach_implicit_gradients(found, posed, targets[rows], jacobian)
+        sample = self.field(
+            found,
+            carried,
+            identity,
+            poses.codes if settings.shading else None,
+            identity_index=ray[rows],
+            pose_index=index[rows],
+        )
+        weights = self.deform.weights(found, poses, index[rows])
+        parts = [weights[:, : self.shape.bones], weights[:, self.shape.bones : -1]]
+        shares = torch.stack([part.sum(dim=-1) for part in parts], dim=-1)
+        count = len(targets)
+        return _Samples(
+            rgb=targets.new_zeros(count, 3).index_copy(0, rows, sample.rgb).unflatten(0, shape),
+            density=targets.new_zeros(count).index_copy(0, rows, sample.density).unflatten(0, shape),
+            shares=targets.new_zeros(count, 2).index_copy(0, rows, shares).unflatten(0, shape),
+            converged=roots.found.unflatten(0, shape),
+        )
+
+    @torch.no_grad()
+    def _densest(
+        self, roots: Roots, covariances: Tensor, identity: Tensor, ray: Tensor, settings: ExactSettings
+    ) -> tuple[Tensor, Tensor]:
+        """Which root of each target has the highest density [M], and whether any lies inside canonical space [M]."""
+        corners = self.get_buffer("corners").to(roots.points)
+        inside = ((roots.points >= corners[0]) & (roots.points <= corners[1])).all(dim=-1)
+        candidates = roots.distinct & inside
+        usable = candidates.any(dim=-1)
+        chosen = candidates.to(torch.int8).argmax(dim=-1)
+        several = (candidates.sum(dim=-1) > 1)[:, None] & candidates
+        target, start = several.nonzero(as_tuple=True)
+        if len(target):
+            density = covariances.new_full(candidates.shape, -torch.inf)
+            carried = _carry(covariances[target], roots.jacobians[target, start], settings)
+            density[target, start] = self.field.density(roots.points[target, start], carried, identity, ray[target])
+            chosen = torch.where(several.any(dim=-1), density.argmax(dim=-1), chosen)
+        return chosen, usable
+
+
+def _carry(covariances: Tensor, jacobians: Tensor, settings: ExactSettings) -> Tensor:
+    """Σ_c = J⁻¹ Σ J⁻ᵀ; J is a constant here, as second derivatives of the skinning weights are not trained through."""
+    if settings.covariance == "plain":
+        return covariances
+    inverse = inverse_3x3(jacobians).matrix
+    return inverse @ covariances @ inverse.transpose(-1, -2)
+
+
+def _take(rays: RayBatch, rows: Tensor) -> RayBatch:
+    return RayBatch(**{name: getattr(rays, name)[rows] for name in RayBatch.__dataclass_fields__})
+
+
+def _empty(rays: RayBatch) -> RayResult:
+    """Rays that miss: transparent, at the empty depth, fully certain; ``failed_share`` holds (failed, counted)."""
+    zero = torch.zeros_like(rays.near)
+    return RayResult(
+        rgb=torch.zeros_like(rays.origins),
+        alpha=zero,
+        depth=torch.full_like(zero, EMPTY_DEPTH),
+        human=zero.clone(),
+        object=zero.clone(),
+        confidence=torch.ones_like(zero),
+        failed_share=torch.zeros(2, dtype=torch.int64, device=zero.device),
+        regularisers={},
+    )
+
+
+def _join(parts: list[RayResult]) -> RayResult:
+    counts = torch.stack([part.failed_share for part in parts]).sum(dim=0).to(parts[0].alpha)
+    fields = ("rgb", "alpha", "depth", "human", "object", "confidence")
+    joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in fields}
+    return RayResult(**joined, failed_share=safe_divide(counts[0], counts[1]), regularisers={})
