@@ -1,0 +1,158 @@
+"""What operators and commands do: from the scene's settings to a running job. Errors are ChonaErrors."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from . import compositing, model_cache, preferences
+from .errors import ChonaError
+from .frames import describe_frames
+from .jobs import Job
+from .rig.armature import create_rig
+from .shot import sample_shot, save_shot
+from .worker import chona_command
+from .worker_check import require_worker
+
+if TYPE_CHECKING:
+    from .properties import CHONA_PG_settings
+
+
+@dataclass(frozen=True)
+class Bake:
+    """A bake that runs. `warnings` says what of the rig's scale and shear the model cannot follow."""
+
+    job: Job
+    folder: Path
+    name: str
+    warnings: tuple[str, ...]
+
+
+def settings_of(scene: bpy.types.Scene) -> CHONA_PG_settings:
+    """The scene's CHONA settings."""
+    return scene.chona
+
+
+def absolute(path: str) -> Path:
+    """A path as the user wrote it -> absolute. `//` in a file that was never saved is in the temporary folder."""
+    if path.startswith("//") and not bpy.data.filepath:
+        return Path(tempfile.gettempdir()) / "chona_unsaved" / path[2:]
+    return Path(bpy.path.abspath(path)).absolute()
+
+
+def writable_folder(path: str, what: str) -> Path:
+    """The folder, made if need be, after something has been written into it for a test."""
+    if not path.strip():
+        raise ChonaError(f"no {what} is set; choose a folder")
+    folder = absolute(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ChonaError(
+            f"the {what} {folder} cannot be written ({error.strerror or error}); choose another one"
+        ) from error
+    return folder
+
+
+def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> str:
+    """Make an armature and an empty for each object, and point the settings to them. Returns words for a report."""
+    settings = settings_of(scene)
+    header = model_cache.load(settings.model_path)
+    person = settings.person or next(iter(header.persons), "")
+    names = list(header.objects) if object_names is None else object_names
+    rig = create_rig(scene, header, person or None, names)
+    settings.person = person
+    settings.armature = rig.armature
+    settings.set_objects({name: rig.empties[name] for name in names})
+    return f"Made an armature of {len(header.names)} bones for {person or 'no person'} and empties for {', '.join(names) or 'no object'}"
+
+
+def start_bake(scene: bpy.types.Scene) -> Bake:
+    """Check everything, write the shot beside the frames and start the worker on it."""
+    settings = settings_of(scene)
+    header = model_cache.load(settings.model_path)
+    name = bake_name(settings)
+    if settings.person and settings.armature is None:
+        raise ChonaError(f"no armature poses {settings.person}; press Create Rig, or choose an armature under Rig")
+    objects = list(settings.used_objects())
+    if not settings.person and not objects:
+        raise ChonaError("there is nothing to render: neither a person nor an object is chosen; choose one under Rig")
+    for item in objects:
+        if item.empty is None or item.empty.name not in bpy.data.objects:
+            raise ChonaError(
+                f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
+            )
+    frames = settings.frames()
+    if not frames:
+        first, last = (
+            (scene.frame_start, scene.frame_end)
+            if settings.use_scene_range
+            else (settings.frame_start, settings.frame_end)
+        )
+        raise ChonaError(f"the frame range {first} to {last} is empty; set a last frame that is not before the first")
+    folder = writable_folder(settings.output_folder, "output folder")
+    python = require_worker(preferences.worker_python())
+    shot = folder / f"{name}.shot.npz"
+    empties = {item.name: item.empty for item in objects}
+    sampled = sample_shot(
+        scene, settings.armature, empties, settings.person or None, list(empties), frames, header, name
+    )
+    save_shot(shot, sampled)
+    arguments = ["bake", "--model", str(absolute(settings.model_path)), "--shot", str(shot), "--out", str(folder)]
+    arguments += ["--preset", settings.preset, *_device(), *(["--overwrite"] if settings.overwrite else [])]
+    job = Job(f"Bake {name} ({settings.preset}, {describe_frames(frames)})", chona_command(python, arguments))
+    return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
+
+
+def start_train(scene: bpy.types.Scene) -> Job:
+    """Start a training on the folder that the settings name."""
+    settings = settings_of(scene)
+    if not settings.data_folder.strip():
+        raise ChonaError("no data folder is set; choose the folder with the captures under Train")
+    data = absolute(settings.data_folder)
+    if not data.is_dir():
+        raise ChonaError(f"there is no data folder {data}; choose the folder with the captures under Train")
+    run = writable_folder(settings.run_folder, "result folder")
+    python = require_worker(preferences.worker_python())
+    arguments = ["train", "--data", str(data), "--format", settings.data_format, "--out", str(run)]
+    arguments += ["--preset", settings.train_preset, "--minutes", f"{settings.minutes:g}", *_device()]
+    if settings.sequences.strip():
+        arguments += ["--sequences", ",".join(part.strip() for part in settings.sequences.split(",") if part.strip())]
+    if settings.resume:
+        arguments.append("--resume")
+    return Job(f"Train {data.name}", chona_command(python, arguments))
+
+
+def trained_model(scene: bpy.types.Scene) -> Path:
+    """Where the training of these settings leaves its model."""
+    return absolute(settings_of(scene).run_folder) / "model.safetensors"
+
+
+def add_composite(scene: bpy.types.Scene) -> compositing.CompositeResult:
+    """Show the baked frames in the scene's compositor."""
+    settings = settings_of(scene)
+    return compositing.add_layer(scene, absolute(settings.output_folder), bake_name(settings))
+
+
+def remove_composite(scene: bpy.types.Scene) -> bool:
+    """Take the settings' layer out of the compositor; True when there was one."""
+    return compositing.remove_layer(scene, bake_name(settings_of(scene)))
+
+
+def bake_name(settings: CHONA_PG_settings) -> str:
+    """The bake's name, refused where it cannot be part of a file name."""
+    name = settings.name.strip()
+    if not name or name.startswith(".") or any(character in name for character in '/\\:*?"<>|#'):
+        raise ChonaError(f"the name {settings.name!r} cannot be part of a file name; write letters, digits, - and _")
+    return name
+
+
+def _device() -> list[str]:
+    chosen = preferences.device()
+    return [] if chosen == "auto" else ["--device", chosen]

@@ -1,0 +1,283 @@
+"""Runs a worker for an operator: blocking without a window, modal with one.
+
+A `Job` is what panels draw: title, share done, time left, last words. It never touches Blender's data, so it can be polled anywhere.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import bpy
+
+from .errors import ChonaError
+from .worker import Worker
+
+POLL_SECONDS = 0.1
+RUNNING, DONE, FAILED, CANCELLED = "RUNNING", "DONE", "FAILED", "CANCELLED"
+
+
+class Job:
+    """A worker with what it has reported so far."""
+
+    def __init__(self, title: str, command: Sequence[str]) -> None:
+        self.title = title
+        self.status = RUNNING
+        self.done = 0.0
+        self.total = 0.0
+        self.eta: float | None = None
+        self.words = "starting the worker"
+        self.measures: dict[str, float] = {}
+        self.result: dict[str, Any] = {}
+        self.error = ""
+        self.code: int | None = None
+        self.started = time.monotonic()
+        self.worker = Worker(command)
+
+    @property
+    def share(self) -> float:
+        """Part done, 0 to 1."""
+        return min(max(self.done / self.total, 0.0), 1.0) if self.total > 0 else 0.0
+
+    @property
+    def text(self) -> str:
+        """One line: what is done, of what, and for how long still."""
+        if self.status == RUNNING and self.worker.cancelled_at is not None:
+            return "stopping after the current step"
+        if self.total <= 0:
+            return self.words
+        parts = [f"{self.done:g} of {self.total:g}"]
+        if self.eta is not None and self.status == RUNNING:
+            parts.append(f"{duration(self.eta)} left")
+        parts += [f"{name} {value:.4g}" for name, value in self.measures.items()]
+        return ", ".join(parts)
+
+    @property
+    def report(self) -> str:
+        """Everything known about the job, to be copied."""
+        lines = [f"job: {self.title}", f"status: {self.status}", f"exit code: {self.code}", f"error: {self.error}"]
+        return "\n".join([*lines, f"command: {' '.join(self.worker.command)}", "output:", *self.worker.lines])
+
+    def poll(self) -> bool:
+        """Take in what the worker has said; True once it has ended."""
+        if self.status != RUNNING:
+            return True
+        self.worker.press()
+        code = self.worker.code()
+        for event in self.worker.events():
+            self._take(event)
+        if code is None:
+            return False
+        self.code = code
+        if code == 0:
+            self.status, self.done = DONE, self.total
+        elif self.worker.cancelled_at is not None:
+            self.status, self.error = CANCELLED, f"{self.title} was cancelled"
+        else:
+            self.status, self.error = FAILED, self.error or self._last_words(code)
+        return True
+
+    def _take(self, event: dict[str, Any]) -> None:
+        kind = event["event"]
+        if kind in {"start", "progress"}:
+            self.done = float(event.get("done") or 0.0)
+            self.total = float(event.get("total") or self.total)
+            self.eta = None if event.get("eta") is None else float(event["eta"])
+            self.words = str(event.get("message") or self.words)
+            self.measures = {
+                name: float(event[name]) for name in ("loss", "psnr") if isinstance(event.get(name), int | float)
+            }
+        elif kind == "result":
+            self.result = event
+        elif kind == "error":
+            self.error = str(event.get("message") or "")
+
+    def _last_words(self, code: int) -> str:
+        said = next((line for line in reversed(self.worker.lines) if line.strip()), "it said nothing")
+        how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
+        if code == -signal.SIGABRT or code == -9:
+            how += " (out of memory?)"
+        return f"the worker {how}: {said}"
+
+    def cancel(self) -> None:
+        """Ask the worker to stop; `poll` tells when it has."""
+        self.worker.cancel()
+
+    def close(self) -> None:
+        """End the worker now, whatever it does."""
+        self.worker.close()
+        self.poll()
+
+
+class _Board:
+    """The job that runs and the last one that ended: what the panels show."""
+
+    current: Job | None = None
+    last: Job | None = None
+
+
+board = _Board()
+
+
+def running() -> Job | None:
+    """The job that a modal operator runs at present."""
+    return board.current
+
+
+def duration(seconds: float) -> str:
+    """`75` -> `1 min 15 s`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def run_blocking(job: Job, progress: Callable[[Job], None] | None = None) -> Job:
+    """Wait for the job. SIGINT and SIGTERM to Blender, as a render farm sends them, stop the worker first."""
+    board.last = job
+    with _signals_cancel(job):
+        try:
+            while not job.poll():
+                if progress is not None:
+                    progress(job)
+                time.sleep(POLL_SECONDS / 2)
+        finally:
+            job.close()
+    return job
+
+
+@contextmanager
+def _signals_cancel(job: Job) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(name, lambda *_: job.cancel()) for name in names]
+    try:
+        yield
+    finally:
+        for name, handler in zip(names, before, strict=True):
+            signal.signal(name, handler if handler is not None else signal.SIG_DFL)
+
+
+class JobOperator:
+    """Mixin for operators over a job: subclasses give `start` and `finish`. With a window ESC cancels and the window stays usable."""
+
+    _job: Job | None = None
+    _timer: bpy.types.Timer | None = None
+
+    def start(self, context: bpy.types.Context) -> Job:
+        """Gather what is needed and start the worker; a ChonaError is reported."""
+        raise NotImplementedError
+
+    def finish(self, context: bpy.types.Context, job: Job) -> str:
+        """Use the result; what comes back is reported."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Without a window: wait for the worker."""
+        try:
+            return self._ended(context, run_blocking(self.start(context)))
+        except ChonaError as error:
+            return fail(self, error)
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """With a window: start the worker and let the window go on."""
+        if context.window is None:
+            return self.execute(context)
+        try:
+            self._job = board.current = board.last = self.start(context)
+        except ChonaError as error:
+            return fail(self, error)
+        self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Show progress on each timer tick; ESC cancels, everything else goes on to Blender."""
+        if self._job is None:
+            return {"CANCELLED"}
+        playing = context.screen is not None and context.screen.is_animation_playing
+        if event.type == "ESC" and event.value == "PRESS" and not playing:  # while playing, ESC belongs to the playback
+            self._job.cancel()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        job = self._job
+        ended = job.poll()
+        if context.workspace is not None:
+            context.workspace.status_text_set(None if ended else f"{job.title}: {job.text}   |   ESC: cancel")
+        redraw_sidebars(context)
+        if not ended:
+            return {"PASS_THROUGH"}
+        self._release(context)
+        try:
+            return self._ended(context, job)
+        except ChonaError as error:
+            return fail(self, error)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, or its window is closed."""
+        if self._job is not None:
+            self._job.close()
+        self._release(context)
+
+    def _release(self, context: bpy.types.Context) -> None:
+        board.current = None
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+
+    def _ended(self, context: bpy.types.Context, job: Job) -> set[str]:
+        if job.status == DONE:
+            self.report({"INFO"}, self.finish(context, job))
+            return {"FINISHED"}
+        if job.status == CANCELLED:
+            self.report({"WARNING"}, job.error)
+            return {"CANCELLED"}
+        return fail(self, ChonaError(job.error))
+
+
+def redraw_sidebars(context: bpy.types.Context) -> None:
+    """Have every 3D view's panels drawn again."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def fail(operator: bpy.types.Operator, error: ChonaError) -> set[str]:
+    """Report an error and keep its words for the panel, where they can be copied."""
+    text = sentence(error)
+    remember_error(text)
+    operator.report({"ERROR"}, text)
+    return {"CANCELLED"}
+
+
+def sentence(error: ChonaError) -> str:
+    """The error's words with a capital first letter and on one line."""
+    text = " ".join(str(error).split())
+    return text[:1].upper() + text[1:]
+
+
+class _LastError:
+    text = ""
+
+
+def remember_error(text: str) -> None:
+    """Keep the words of the last failure for the panel."""
+    _LastError.text = text
+
+
+def last_error() -> str:
+    """The words of the last failure, or nothing."""
+    return _LastError.text

@@ -1,0 +1,64 @@
+"""Operators that put the baked frames into the compositor and take them out."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import actions, compositing, jobs
+from ..errors import ChonaError
+
+
+class CHONA_OT_composite(bpy.types.Operator):
+    """Put the baked frames into the scene's compositor by depth, or update them there; your nodes stay as they are"""
+
+    bl_idname = "chona.composite"
+    bl_label = "Composite"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.chona.output_folder:
+            cls.poll_message_set("Set the output folder that holds the baked frames first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            result = actions.add_composite(context.scene)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        for words in result.warnings:
+            self.report({"WARNING"}, words)
+        self.report({"INFO"}, result.message)
+        return {"FINISHED"}
+
+
+class CHONA_OT_composite_remove(bpy.types.Operator):
+    """Take the baked frames out of the scene's compositor and leave it as it was before"""
+
+    bl_idname = "chona.composite_remove"
+    bl_label = "Remove from Compositor"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not compositing.has_layers(context.scene):
+            cls.poll_message_set("The scene's compositor has no CHONA layer")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            removed = actions.remove_composite(context.scene)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        if not removed:
+            names = ", ".join(compositing.layer_names(context.scene))
+            return jobs.fail(
+                self, ChonaError(f"there is no layer {context.scene.chona.name!r}; the scene has: {names}")
+            )
+        self.report({"INFO"}, f"Removed {compositing.layer_group_name(context.scene.chona.name)}")
+        return {"FINISHED"}
+
+
+CLASSES = (CHONA_OT_composite, CHONA_OT_composite_remove)

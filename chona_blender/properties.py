@@ -1,0 +1,206 @@
+"""What the user sets, kept in the scene: `scene.chona`.
+
+Blender reads the annotations of property classes, so they are not postponed here.
+"""
+
+from collections.abc import Iterator
+
+import bpy
+
+from . import model_cache
+
+PRESETS = (
+    ("draft", "Draft", "Fastest: for timing and placement"),
+    ("preview", "Preview", "Fast: good enough to judge a pose"),
+    ("final", "Final", "For the final picture"),
+    ("exact", "Exact", "Every step as in the paper, no shortcut: slow, for comparison"),
+)
+FORMATS = (
+    ("auto", "Automatic", "Recognise the kind of data from the folder"),
+    ("behave", "BEHAVE", "A folder in the layout of the BEHAVE data set"),
+    ("zju_mocap", "ZJU-MoCap", "A folder in the layout of the ZJU-MoCap data set"),
+    ("co3d", "CO3D", "A folder in the layout of the CO3D data set"),
+    ("transforms", "transforms.json", "Images and cameras as NeRF tools write them"),
+    ("blender", "Blender capture", "A folder that Capture in this add-on wrote"),
+)
+TRAIN_PRESETS = (
+    ("fast", "Fast", "Grid encodings and small networks: minutes on a processor"),
+    ("paper", "Paper", "The networks of the paper: hours on a graphics card"),
+)
+
+
+def _model_changed(self: "CHONA_PG_settings", _context: bpy.types.Context) -> None:
+    """Read the new model's header once, and fill in what it has only one of."""
+    header = model_cache.refresh(self.model_path)
+    if header is not None and self.person not in header.persons:
+        self.person = next(iter(header.persons), "")
+
+
+def _search_persons(self: "CHONA_PG_settings", _context: bpy.types.Context, text: str) -> list[str]:
+    return [name for name in model_cache.person_names(self.model_path) if text.lower() in name.lower()]
+
+
+def _search_objects(self: "CHONA_PG_object", _context: bpy.types.Context, text: str) -> list[str]:
+    return [name for name in model_cache.object_names(self.id_data.chona.model_path) if text.lower() in name.lower()]
+
+
+def _is_armature(_self: bpy.types.PropertyGroup, candidate: bpy.types.Object) -> bool:
+    return candidate.type == "ARMATURE"
+
+
+class CHONA_PG_object(bpy.types.PropertyGroup):
+    """One object of the actor and what moves it."""
+
+    name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Object",
+        description="Name of the object in the model",
+        search=_search_objects,
+    )
+    empty: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Moved By",
+        description="The empty (or any object) whose position and rotation the object follows",
+        type=bpy.types.Object,
+    )
+    use: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Render",
+        description="Render this object; switched off it is not there and costs nothing",
+        default=True,
+    )
+
+
+class CHONA_PG_settings(bpy.types.PropertyGroup):
+    """Everything that one scene's actor, bake and training need."""
+
+    model_path: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Model",
+        description="Model file (.safetensors) that a training wrote",
+        subtype="FILE_PATH",
+        update=_model_changed,
+    )
+    person: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Person",
+        description="Which of the model's people is rendered; empty renders the objects alone",
+        search=_search_persons,
+    )
+    armature: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Armature",
+        description="The armature that poses the person",
+        type=bpy.types.Object,
+        poll=_is_armature,
+    )
+    objects: bpy.props.CollectionProperty(type=CHONA_PG_object, name="Objects")  # type: ignore[valid-type]
+    active_object: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Object",
+        description="The selected row of the list of objects",
+        options={"HIDDEN"},
+    )
+
+    name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Name",
+        description="Name of the bake; frames are written as NAME_0001.exr",
+        default="shot",
+    )
+    output_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Output",
+        description="Folder for the baked frames; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        default="//chona/",
+    )
+    preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Quality",
+        description="How exactly and how fast frames are rendered",
+        items=PRESETS,
+        default="preview",
+    )
+    use_scene_range: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Scene Range",
+        description="Bake the frame range and step of the scene",
+        default=True,
+    )
+    frame_start: bpy.props.IntProperty(name="First", description="First frame to bake", default=1)  # type: ignore[valid-type]
+    frame_end: bpy.props.IntProperty(name="Last", description="Last frame to bake", default=50)  # type: ignore[valid-type]
+    frame_step: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Step",
+        description="Bake every so many frames",
+        default=1,
+        min=1,
+    )
+    overwrite: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Overwrite",
+        description="Bake frames again that are there already and up to date; without, they are skipped",
+    )
+    composite_after: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Composite When Done",
+        description="Put the frames into the scene's compositor when the bake has finished",
+        default=True,
+    )
+
+    data_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Data",
+        description="Folder with the captures to learn from",
+        subtype="DIR_PATH",
+    )
+    data_format: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Format",
+        description="Layout of the data folder",
+        items=FORMATS,
+        default="auto",
+    )
+    sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Sequences",
+        description="Names of the sequences to learn from, with commas between; empty for all",
+    )
+    run_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Result",
+        description="Folder for the model, its log and its checkpoints",
+        subtype="DIR_PATH",
+        default="//chona_model/",
+    )
+    train_preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Method",
+        description="Which networks are trained",
+        items=TRAIN_PRESETS,
+        default="fast",
+    )
+    minutes: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Time",
+        description="How long to train, in minutes",
+        default=10.0,
+        min=0.1,
+        soft_max=600.0,
+        subtype="UNSIGNED",
+        precision=1,
+    )
+    resume: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Resume",
+        description="Go on from the last checkpoint in the result folder",
+    )
+
+    def frames(self) -> list[int]:
+        """The frames to bake, increasing; empty when the range is."""
+        scene = self.id_data
+        if self.use_scene_range:
+            return list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+        return list(range(self.frame_start, self.frame_end + 1, self.frame_step))
+
+    def used_objects(self) -> Iterator[CHONA_PG_object]:
+        """The objects that are to be rendered."""
+        return (item for item in self.objects if item.use)
+
+    def set_objects(self, pairs: dict[str, bpy.types.Object | None]) -> None:
+        """Replace the list of objects."""
+        self.objects.clear()
+        for name, empty in pairs.items():
+            item = self.objects.add()
+            item.name = name
+            item.empty = empty
+
+
+def register() -> None:
+    """Give every scene its settings. The classes are registered already."""
+    bpy.types.Scene.chona = bpy.props.PointerProperty(type=CHONA_PG_settings)
+
+
+def unregister() -> None:
+    """Take the settings' type away; values stay in saved files."""
+    del bpy.types.Scene.chona

@@ -1,0 +1,68 @@
+"""Registers everything in one order, takes it back in the other, and leaves nothing behind when a step fails."""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+
+from . import commands, model_cache, panels, preferences, properties, worker
+from .jobs import board, remember_error
+from .operators import bake, composite, diagnose, rig, train
+
+CLASSES: tuple[type, ...] = (
+    properties.CHONA_PG_object,
+    properties.CHONA_PG_settings,
+    preferences.CHONA_AP_preferences,
+    *rig.CLASSES,
+    *bake.CLASSES,
+    *composite.CLASSES,
+    *train.CLASSES,
+    *diagnose.CLASSES,
+    *panels.CLASSES,
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Something that is switched on, and how it is switched off."""
+
+    on: Callable[[], object]
+    off: Callable[[], object]
+
+
+def _class_step(cls: type) -> Step:
+    return Step(lambda: bpy.utils.register_class(cls), lambda: bpy.utils.unregister_class(cls))
+
+
+STEPS: tuple[Step, ...] = (
+    *(_class_step(cls) for cls in CLASSES),
+    Step(properties.register, properties.unregister),
+    Step(model_cache.register, model_cache.unregister),
+    Step(commands.register, commands.unregister),
+    Step(lambda: atexit.register(worker.close_all), lambda: atexit.unregister(worker.close_all)),
+)
+
+_done: list[Step] = []
+
+
+def register() -> None:
+    """Switch every step on; if one fails, those before it are switched off again and the failure is raised."""
+    try:
+        for step in STEPS:
+            step.on()
+            _done.append(step)
+    except Exception:
+        unregister()
+        raise
+
+
+def unregister() -> None:
+    """End workers and switch off what is on, last first."""
+    worker.close_all()
+    board.current = board.last = None
+    remember_error("")
+    while _done:
+        _done.pop().off()

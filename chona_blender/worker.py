@@ -1,0 +1,208 @@
+"""The worker: `python -m chona_model …` in a process of its own, spoken to in JSON lines.
+
+Nothing here touches Blender's data, and the reader threads only fill a queue: what they read is looked at in Blender's main thread.
+The worker's Python is another one than Blender's: torch lives there, and a crash or an out-of-memory ends only the worker.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+from .errors import ChonaError
+
+PYTHON_VARIABLE = "CHONA_WORKER_PYTHON"
+KEPT_LINES = 80
+GRACE_SECONDS = 10.0
+
+
+def sources_folder() -> Path:
+    """The folder that holds the package chona_model: `worker/` in the extension, the repository's root beside it."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "worker", package.parent):
+        if (folder / "chona_model" / "__init__.py").is_file():
+            return folder
+    raise ChonaError(f"the worker's sources (chona_model) are not beside {package}; install the CHONA extension again")
+
+
+def find_python(preference: str = "") -> tuple[Path, str]:
+    """The worker's Python and where it was named. A named one that does not exist is an error, never skipped silently."""
+    named = [
+        (preference, "the add-on's preferences or by --python"),
+        (os.environ.get(PYTHON_VARIABLE, ""), f"the variable {PYTHON_VARIABLE}"),
+    ]
+    for text, origin in named:
+        if text:
+            path = Path(text).expanduser()
+            if path.is_dir():
+                path = next((p for p in _interpreters(path) if p.is_file()), path)
+            if not path.is_file():
+                raise ChonaError(
+                    f"the worker's Python {text}, named in {origin}, does not exist; expected a Python 3.11 or newer with torch: "
+                    "correct it there, or make one with `make env`"
+                )
+            return path, origin
+    for path in _interpreters(sources_folder() / ".venv"):
+        if path.is_file():
+            return path, "the environment beside the sources"
+    return Path(sys.executable), "Blender's own Python, for want of another"
+
+
+def _interpreters(environment: Path) -> tuple[Path, ...]:
+    """Where a virtual or conda environment keeps its interpreter, on every system."""
+    return tuple(environment / part for part in ("bin/python", "bin/python3", "Scripts/python.exe", "python.exe"))
+
+
+def worker_environment() -> dict[str, str]:
+    """Blender's environment without its Python's settings; PYTHONPATH names the worker's sources alone."""
+    kept = {
+        key: value
+        for key, value in os.environ.items()
+        if not key.upper().startswith("PYTHON") and key != "__PYVENV_LAUNCHER__"
+    }
+    kept["PYTHONPATH"] = str(sources_folder())
+    kept["PYTHONSAFEPATH"] = "1"  # a file random.py in the current folder must not stand in for the library's
+    kept["PYTHONUNBUFFERED"] = "1"
+    kept["PYTHONIOENCODING"] = "utf-8"
+    return kept
+
+
+class Worker:
+    """One running worker process. Use `events` from the main thread; `close` always, it is harmless when all has ended."""
+
+    def __init__(self, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
+        self.command = [str(part) for part in command]
+        self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.cancelled_at: float | None = None
+        self._queue: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        own_group: dict[str, Any] = (
+            {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
+            if sys.platform == "win32"
+            else {"start_new_session": True}
+        )
+        try:
+            self._process = subprocess.Popen(
+                self.command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=worker_environment() if environment is None else environment,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                **own_group,
+            )
+        except OSError as error:
+            raise ChonaError(
+                f"the worker's Python {self.command[0]} does not start: {error.strerror or error}; name another one in the preferences"
+            ) from error
+        self._threads = [
+            threading.Thread(target=self._read_events, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._read_words, args=(self._process.stderr,), daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+        _running.add(self)
+
+    def _read_events(self, stream: IO[str]) -> None:
+        with contextlib.suppress(ValueError), stream:
+            for line in stream:
+                event = parse_event(line)
+                if event is None:
+                    self.lines.append(line.rstrip())
+                else:
+                    self._queue.put(event)
+
+    def _read_words(self, stream: IO[str]) -> None:
+        with contextlib.suppress(ValueError), stream:
+            for line in stream:
+                self.lines.append(line.rstrip())
+
+    def events(self) -> list[dict[str, Any]]:
+        """What the worker has said since the last call."""
+        found = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                found.append(self._queue.get_nowait())
+        return found
+
+    def code(self) -> int | None:
+        """The exit code once the process has ended and all it said has been read, else None."""
+        if self._process.poll() is None:
+            return None
+        for thread in self._threads:
+            thread.join(timeout=2.0)
+        _running.discard(self)
+        return self._process.returncode
+
+    def wait(self, seconds: float | None = None) -> int | None:
+        """Wait for the end; None when it has not come within `seconds`."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=seconds)
+        return self.code()
+
+    def cancel(self) -> None:
+        """Ask the worker to stop after its current step. `press` ends it when it does not."""
+        if self.cancelled_at is None:
+            self.cancelled_at = time.monotonic()
+            with contextlib.suppress(OSError):
+                self._process.terminate()
+
+    def press(self) -> None:
+        """Kill a worker that was cancelled and has not ended within the grace time."""
+        if self.cancelled_at is not None and time.monotonic() - self.cancelled_at > GRACE_SECONDS:
+            self._kill()
+
+    def close(self, grace: float = 2.0) -> None:
+        """End the process whatever it does, and wait until it is gone."""
+        if self._process.poll() is None:
+            self.cancel()
+            try:
+                self._process.wait(timeout=grace)
+            except subprocess.TimeoutExpired:
+                self._kill()
+                self._process.wait()
+        self.code()
+
+    def _kill(self) -> None:
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":
+                self._process.kill()
+            else:
+                os.killpg(self._process.pid, signal.SIGKILL)
+
+
+_running: set[Worker] = set()
+
+
+def close_all() -> None:
+    """End every worker: when Blender quits or the add-on is switched off."""
+    for worker in list(_running):
+        worker.close()
+
+
+def parse_event(line: str) -> dict[str, Any] | None:
+    """A line of the progress protocol, or None when it is something else that was printed."""
+    if not line.startswith("{"):
+        return None
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
+
+
+def chona_command(python: Path, arguments: Sequence[str]) -> list[str]:
+    """The command line of a `chona` job that reports in JSON lines."""
+    return [str(python), "-m", "chona_model", *arguments, "--progress", "json"]
