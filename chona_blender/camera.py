@@ -169,4 +169,8 @@ def sample_camera(camera: Object, depsgraph: Depsgraph, image: ImageFormat) -> C
     intrinsics[[0, 1], [0, 1]] = half * projection[[0, 1], [0, 1]]
     intrinsics[:2, 2] = half * centre - np.array([image.left, image.top])
     clip = np.array([evaluated.data.clip_start, evaluated.data.clip_end], dtype=np.float64)
+    if not clip[0] < clip[1]:
+        raise ChonaError(
+            f"Camera '{camera.name}' clips from {clip[0]:g} m to {clip[1]:g} m. Set its clip end beyond its clip start"
+        )
     return CameraSample(intrinsics, rigid_camera(camera, evaluated.matrix_world), clip, kind)

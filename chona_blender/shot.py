@@ -22,6 +22,7 @@ from .rig.sampling import Progress, check_armature, frame_list, rescale_camera, 
 from .rig.validation import STRETCH_LIMIT, Dropped
 
 SUFFIX = ".shot.npz"
+_RESERVED = frozenset('/\\:*?"<>|\0')
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def sample_shot(  # noqa: PLR0917 - the order of write_shot
     """Samples one actor and the scene's cameras.
 
     A figure that is scaled as a whole (a giant, a doll) is written in natural size with the world divided by its scale,
-    which gives the same picture; ``world_scale`` in the header says by how much depths are to be multiplied.
+    which gives the same picture; the array ``world_scale`` says by how much depths are to be multiplied.
 
     Args:
         armature: poses ``person``; may be None where ``person`` is.
@@ -71,6 +72,8 @@ def sample_shot(  # noqa: PLR0917 - the order of write_shot
             that cannot be made rigid, a panoramic camera.
     """
     numbers = frame_list(frames)
+    if not name or name != name.strip() or name.startswith(".") or _RESERVED & set(name):
+        raise ChonaError(f"The shot is called '{name}', which cannot start the name of a file. Choose another name")
     image = image_format(scene)
     placed = _placed(empties, object_names, header)
     bones: list[str] = []
@@ -95,9 +98,6 @@ def sample_shot(  # noqa: PLR0917 - the order of write_shot
             "The frame range switches between perspective and orthographic cameras. Write one shot for each, with its "
             "own frame range"
         )
-    world_from_bone = pose.world_from_bone
-    if rest is None:
-        world_from_bone = np.broadcast_to(np.eye(4), (len(numbers), len(header.names), 4, 4))
     description = {
         "format": "chona-shot",
         "version": 1,
@@ -111,20 +111,20 @@ def sample_shot(  # noqa: PLR0917 - the order of write_shot
                 "name": armature.name if armature is not None and rest else person or "objects",
                 "person": person,
                 "objects": list(object_names),
-                "bones": list(header.names),
+                "bones": list(header.names) if rest else [],
             }
         ],
     }
-    if pose.scale != 1.0:
-        description["world_scale"] = pose.scale
     arrays = {
         "frames": numbers,
         "camera.intrinsics": np.stack([camera.intrinsics for camera in cameras]),
         "camera.world_from_camera": np.stack([camera.world_from_camera for camera in cameras]),
         "camera.clip": np.stack([camera.clip for camera in cameras]),
-        "actor.0.world_from_bone": np.ascontiguousarray(world_from_bone),
+        "actor.0.world_from_bone": pose.world_from_bone,
         "actor.0.world_from_object": pose.world_from_object,
     }
+    if pose.scale != 1.0:
+        arrays["world_scale"] = np.array(pose.scale)
     return Shot(description, arrays, pose.dropped)
 
 
