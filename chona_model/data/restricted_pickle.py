@@ -75,6 +75,13 @@ def _encode(text: object, encoding: object = "latin1") -> bytes:
     return text.encode("latin1")
 
 
+def _no_bytes(*arguments: object) -> bytes:
+    """``bytes()`` as old protocols write empty bytes; never a length, which could ask for any amount of memory."""
+    if arguments:
+        raise _Refused("bytes made from other objects")
+    return b""
+
+
 def _reconstructor(cls: object, _base: object, _state: object) -> _Record:
     """``copy_reg._reconstructor`` of old protocols, for this module's records alone."""
     if not (isinstance(cls, type) and issubclass(cls, _Record)):
@@ -92,7 +99,7 @@ _ADMITTED: dict[str, Any] = {
     **{
         f"{module}.{name}": kind
         for module in ("builtins", "__builtin__")
-        for name, kind in (("set", set), ("frozenset", frozenset), ("object", _NumpyClass))
+        for name, kind in (("set", set), ("frozenset", frozenset), ("object", _NumpyClass), ("bytes", _no_bytes))
     },
     **{
         f"numpy.{core}.{name}": kind
