@@ -1,7 +1,9 @@
 """Plain torch twins of the fast kernels: any float dtype, any device, gradients by autograd."""
 
+from chona_model.kernels.reference.adam import adam_rows
 from chona_model.kernels.reference.encode import encode
 from chona_model.kernels.reference.integrate import integrate
+from chona_model.kernels.reference.march import carve, march, mark_starts, prune, splat_spans
 from chona_model.kernels.reference.skinning import invert
 
-__all__ = ["encode", "integrate", "invert"]
+__all__ = ["adam_rows", "carve", "encode", "integrate", "invert", "march", "mark_starts", "prune", "splat_spans"]

@@ -47,7 +47,7 @@ def invert(
         roots, residuals = _newton(volume, matrices, posed, starts, limits)
     if not (torch.is_grad_enabled() and matrices.requires_grad):
         return roots, residuals
-    # f(x(A), A) = posed for every A, hence dx = -J⁻¹ df at fixed x: a Newton step whose value is 0 but not its gradient.
+    # f(x(A), A) = posed for every A, hence dx = −J⁻¹ df at fixed x: a Newton step of value 0, but not of gradient 0.
     value, jacobian = volume.warp(roots, matrices)
     adjugate, determinant = _adjugate(jacobian.detach())
     regular = determinant.abs() >= min_determinant
