@@ -91,7 +91,9 @@ class ConditionedMLP(nn.Module):
             else:
                 before = layer(hidden)
             change = functional.linear(moving, layer.weight[:, : moving.shape[-1]])
-            hidden, moving = functional.relu(before), change * (before > 0)
+            hidden = functional.relu(before)
+            # sign() of what ReLU left is its derivative, and several times faster here than a mask of booleans.
+            moving = change * hidden.sign()
         if self.output is None:
             return hidden, moving
         return self.output(hidden), functional.linear(moving, self.output.weight)
