@@ -13,6 +13,8 @@ from chona_model.field.radiance import FieldShape
 from chona_model.figure import Figure, PoseBatch, RayBatch, Rig, make_figure, to_pose_batch
 from chona_model.skeleton import SMPL, forward_kinematics
 
+torch.set_num_threads(1)  # these tensors are so small that threads only wait for each other
+
 BONES = len(SMPL)
 
 REST_JOINTS = np.array(
