@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding
 
 if TYPE_CHECKING:
     from chona_model.kernels.grid import GridLayout
@@ -41,7 +42,8 @@ def encode(points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout) 
         share = scaled - lower
         weight = torch.where(offsets.bool(), share[:, None], 1.0 - share[:, None]).prod(dim=-1)
         row = _corner_rows(lower[:, None] + offsets, dims, dense, rows) + ((first_row + level) * rows)[:, None]
-        columns.append((weight[..., None] * flat[row]).sum(dim=1))
+        # Not flat[row]: the gradient of that adds up in whatever order threads arrive.
+        columns.append((weight[..., None] * embedding(row, flat)).sum(dim=1))
     return torch.cat(columns, dim=-1)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding
 
 from chona_model.kernels.reference.encode import corner_offsets
 
@@ -104,7 +105,8 @@ class _Volume:
         x, y, z = (lower[:, None] + self.offsets).unbind(dim=-1)
         nx, ny = self.dims[:, :1], self.dims[:, 1:2]
         node = self.nodes[self.first_node[:, None] + x + nx * (y + ny * z)]
-        blended = matrices[self.first_row[:, None] + node].unflatten(-1, (3, 4))
+        # Not matrices[...]: the gradient of that adds up in whatever order threads arrive.
+        blended = embedding(self.first_row[:, None] + node, matrices).unflatten(-1, (3, 4))
         along = torch.where(self.offsets.bool(), share, 1.0 - share)
         wx, wy, wz = along.unbind(dim=-1)
         weight = wx * wy * wz
