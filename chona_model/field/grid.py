@@ -1,0 +1,130 @@
+"""The conditional radiance field on grids: one table per identity, small shared MLPs conditioned on both codes.
+
+Same inputs and outputs as the paper's F_Θr: (x_c, v_h, v_o) → (colour, density), Lambertian colour times a
+pose-dependent ambient occlusion.  Separate tables make a scene load only the identities it shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import relu, softplus
+
+from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
+
+
+SHADE_BIAS = 2.0
+"""Ambient occlusion starts at sigmoid(2) = 0.88: nearly open, with a gradient both ways."""
+
+
+@dataclass(frozen=True)
+class GridShape:
+    """Sizes of a grid field.
+
+    Attributes:
+        levels, coarsest, finest: resolutions, metres; rows: log2 of the table rows a level.
+        hidden: width of the MLPs; features: geometry features handed from density to colour.
+        code: length of an identity code; pose: length of the bottleneck of the pose code.
+        density_scale: 1/m; the density is ``density_scale · softplus(raw − 1)``.
+    """
+
+    levels: int = 8
+    coarsest: float = 0.12
+    finest: float = 0.004
+    rows: int = 17
+    hidden: int = 64
+    features: int = 15
+    code: int = 8
+    pose: int = 8
+    density_scale: float = 100.0
+
+
+class GridField(nn.Module):
+    """Density and colour of all identities.
+
+    Args:
+        shape: sizes.
+        lower, upper: [I, 3] boxes of the parts (persons first, then objects), metres, each in its own frame.
+        persons: number of persons among the parts.
+        pose_code: length of the full pose code.
+    """
+
+    def __init__(self, shape: GridShape, lower: np.ndarray, upper: np.ndarray, persons: int, pose_code: int) -> None:
+        super().__init__()
+        self.shape = shape
+        self.persons = persons
+        parts = len(lower)
+        self.register_buffer("lower", torch.as_tensor(lower, dtype=torch.float32))
+        self.layout: GridLayout = make_layout(
+            (upper - lower).max(axis=0), shape.coarsest, shape.finest, shape.levels, 1 << shape.rows
+        )
+        table = torch.rand(parts, shape.levels, 1 << shape.rows, FEATURES) * 2e-4 - 1e-4
+        self.table = nn.Parameter(table)
+        self.gradient = TableGradient(table)
+        self.person_codes = nn.Parameter(0.1 * torch.randn(persons, shape.code))
+        self.object_codes = nn.Parameter(0.1 * torch.randn(max(parts - persons, 1), shape.code))
+        inputs = shape.levels * FEATURES
+        self.density_in = nn.Linear(inputs, shape.hidden)
+        self.density_code = nn.Linear(2 * shape.code, shape.hidden, bias=False)
+        self.density_out = nn.Linear(shape.hidden, 1 + shape.features)
+        self.colour_in = nn.Linear(inputs + shape.features, shape.hidden)
+        self.colour_code = nn.Linear(2 * shape.code, shape.hidden, bias=False)
+        self.colour_out = nn.Linear(shape.hidden, 3)
+        self.pose_in = nn.Linear(pose_code, shape.pose)
+        self.shade_in = nn.Linear(shape.features + shape.pose, 32)
+        self.shade_out = nn.Linear(32, 1)
+
+    def codes(self, pairs: Tensor) -> Tensor:
+        """[Q, 2 · code] of identity pairs [Q, 2] (person, object); −1 gives a zero code."""
+        present = (pairs >= 0).to(self.person_codes.dtype)
+        person = self.person_codes[pairs[:, 0].clamp(min=0)] * present[:, :1]
+        thing = self.object_codes[pairs[:, 1].clamp(min=0)] * present[:, 1:]
+        return torch.cat([person, thing], dim=1)
+
+    def forward(
+        self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor, pose_codes: Tensor | None, pose: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Evaluates candidates.
+
+        Args:
+            points: [M, 3] in the part's own frame, metres; part: [M] int32.
+            pairs: [Q, 2] int64 identity pairs in use; pair: [M] int64 index of each point's.
+            pose_codes: [P, C], or None for no shading; pose: [M] int64.
+
+        Returns:
+            density [M] 1/m and rgb [M, 3] sRGB in 0…1.
+        """
+        local = (points - self.lower[part.long()]).clamp(min=0.0)
+        gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
+        encoded = encode(local, part, self.table, self.layout, gradient)
+        codes = self.codes(pairs)
+        hidden = self.density_in(encoded)
+        hidden = hidden + self._gather(self.density_code(codes), pair)
+        raw = self.density_out(relu(hidden))
+        density = self.shape.density_scale * softplus(raw[:, 0] - 1.0)
+        features = raw[:, 1:]
+        hidden = self.colour_in(torch.cat([encoded, features], dim=1))
+        hidden = hidden + self._gather(self.colour_code(codes), pair)
+        rgb = torch.sigmoid(self.colour_out(relu(hidden)))
+        if pose_codes is not None:
+            conditioned = self.shade_in.weight[:, self.shape.features :] @ torch.tanh(self.pose_in(pose_codes)).T
+            shade = features @ self.shade_in.weight[:, : self.shape.features].T + self.shade_in.bias
+            shade = self.shade_out(relu(shade + self._gather(conditioned.T, pose)))
+            rgb = rgb * torch.sigmoid(shade + SHADE_BIAS)
+        return density, rgb
+
+    def density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
+        """Density alone [M], 1/m, without gradients: for occupancy."""
+        with torch.no_grad():
+            local = (points - self.lower[part.long()]).clamp(min=0.0)
+            encoded = encode(local, part, self.table, self.layout)
+            hidden = self.density_in(encoded) + self._gather(self.density_code(self.codes(pairs)), pair)
+            raw = relu(hidden) @ self.density_out.weight[0] + self.density_out.bias[0]
+            return self.shape.density_scale * softplus(raw - 1.0)
+
+    @staticmethod
+    def _gather(rows: Tensor, index: Tensor) -> Tensor:
+        return rows if len(rows) == 1 else rows[index]

@@ -1,0 +1,209 @@
+"""The default model: grids per identity, skinning in voxels, occupancy. The paper's method with named shortcuts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from chona_model.data.dataset import ObjectShape, Person, Pose
+from chona_model.deform.voxels import NodeGrid, SkinningVolume, initial_weights, make_node_grid
+from chona_model.field.grid import GridField, GridShape
+from chona_model.figure import Figure, Rig, make_figure, pose_code_size, pose_codes
+from chona_model.kernels.warp import VolumeIndex
+from chona_model.render.occupancy import Occupancy, make_occupancy
+from chona_model.render.posed import PosedPart, pose_cells, slot_matrices
+from chona_model.skeleton import Skeleton
+
+BODY_MARGIN = 0.25
+"""The canonical box of a person reaches this far beyond its joints, metres (head, hands, hair, hats)."""
+
+OBJECT_MARGIN = 0.04
+"""The box of an object reaches this far beyond its given extent, metres."""
+
+
+@dataclass(frozen=True)
+class GridModelShape:
+    """Sizes of a grid model besides its field's.
+
+    Attributes:
+        field: the radiance field.
+        node_cell: spacing of the skinning nodes, metres; node_reach: nodes this near the bones are active, metres.
+        occupancy_cell: metres.
+        offset_rank: shapes in the offset's basis; 0 for none.
+        object_slots: objects a pose may have.
+    """
+
+    field: GridShape = GridShape()
+    node_cell: float = 0.03
+    node_reach: float = 0.22
+    occupancy_cell: float = 0.015
+    offset_rank: int = 4
+    object_slots: int = 1
+
+
+@dataclass(frozen=True)
+class PosedFigure:
+    """A pose made ready: root-space transforms and identity indices (−1 = absent)."""
+
+    figure: Figure
+    person: int
+    objects: tuple[int, ...]
+    code: np.ndarray
+    slots: np.ndarray
+
+
+class GridModel(nn.Module):
+    """Persons and objects learned together.
+
+    Args:
+        skeleton: of all persons; persons, objects: identities by name, in the order of their indices.
+        object_distance: canonical distance of objects, metres.
+        shape: sizes.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        persons: Mapping[str, Person],
+        objects: Mapping[str, ObjectShape],
+        object_distance: float,
+        shape: GridModelShape,
+    ) -> None:
+        super().__init__()
+        self.skeleton, self.shape, self.object_distance = skeleton, shape, object_distance
+        self.persons, self.objects = tuple(persons.values()), tuple(objects.values())
+        lower, upper = self._boxes()
+        slots = shape.object_slots
+        self.code_size = pose_code_size(len(skeleton), slots)
+        self.field = GridField(shape.field, lower, upper, len(self.persons), self.code_size)
+        self.occupancy: Occupancy = make_occupancy(lower, upper, shape.occupancy_cell)
+        volumes, self._weights = [], []
+        for index, person in enumerate(self.persons):
+            tails = skeleton.bone_tails(person.rest_joints)
+            grid = make_node_grid(
+                lower[index], upper[index], shape.node_cell, person.rest_joints, tails, shape.node_reach, person.surface
+            )
+            volume = SkinningVolume(grid, len(skeleton), self.code_size, shape.offset_rank)
+            volume.initialise(initial_weights(grid.points, person.rest_joints, tails, person.surface))
+            volumes.append(volume)
+        self.volumes = nn.ModuleList(volumes)
+
+    def _boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = [], []
+        for person in self.persons:
+            points = [person.rest_joints, self.skeleton.bone_tails(person.rest_joints)]
+            if person.surface is not None:
+                points.append(person.surface.vertices)
+            lower.append(np.concatenate(points).min(axis=0) - (BODY_MARGIN if person.surface is None else 0.12))
+            upper.append(np.concatenate(points).max(axis=0) + (BODY_MARGIN if person.surface is None else 0.12))
+        for thing in self.objects:
+            lower.append(np.asarray(thing.lower) - OBJECT_MARGIN)
+            upper.append(np.asarray(thing.upper) + OBJECT_MARGIN)
+        return np.array(lower), np.array(upper)
+
+    def grid(self, person: int) -> NodeGrid:
+        """Skinning nodes of a person."""
+        volume: SkinningVolume = self.volumes[person]  # type: ignore[assignment]
+        return volume.grid
+
+    def rig(self, person: int) -> Rig:
+        """The rig of a person; of no person (−1), one with joints at the origin, for objects alone."""
+        joints = self.persons[person].rest_joints if person >= 0 else np.zeros((len(self.skeleton), 3))
+        return Rig(self.skeleton, joints, self.object_distance)
+
+    def person_index(self, name: str | None) -> int:
+        """Index of a person by name; −1 for None.
+
+        Raises:
+            KeyError: with the names there are.
+        """
+        return -1 if name is None else _index("person", name, [person.name for person in self.persons])
+
+    def object_index(self, name: str) -> int:
+        """Index of an object by name among the objects."""
+        return _index("object", name, [thing.name for thing in self.objects])
+
+    def posed(self, pose: Pose) -> PosedFigure:
+        """Moves a pose into root space and looks its identities up."""
+        person = self.person_index(pose.person)
+        rig = self.rig(person)
+        figure = make_figure(
+            rig, pose.world_from_bone if person >= 0 else None, pose.world_from_object, self.shape.object_slots
+        )
+        objects = tuple(self.object_index(name) for name in pose.objects)
+        slots = slot_matrices(figure, len(self.skeleton), rig.canonical_object)
+        return PosedFigure(figure, person, objects, pose_codes([figure], rig)[0], slots)
+
+    def matrices(self, poses: Sequence[PosedFigure], offset: bool = True) -> tuple[Tensor, VolumeIndex]:
+        """Blended matrices of every pose, [rows, 12], and where each pose's rows are; differentiable."""
+        rows: list[Tensor | None] = [None] * len(poses)
+        bones = len(self.skeleton)
+        for person in sorted({pose.person for pose in poses if pose.person >= 0}):
+            mine = [index for index, pose in enumerate(poses) if pose.person == person]
+            transforms = np.stack([poses[index].figure.transforms[:bones] for index in mine]).astype(np.float32)
+            codes = torch.as_tensor(np.stack([poses[index].code for index in mine]), dtype=torch.float32)
+            blended = self.volumes[person].blend(torch.from_numpy(transforms), codes if offset else None)
+            for index, matrix in zip(mine, blended, strict=True):
+                rows[index] = matrix
+        lengths = [0 if row is None else len(row) for row in rows]
+        present = [row for row in rows if row is not None]
+        matrices = torch.cat(present) if present else torch.zeros(0, 12)
+        return matrices, self._index(poses, np.concatenate([[0], np.cumsum(lengths)])[:-1])
+
+    def _index(self, poses: Sequence[PosedFigure], first_row: np.ndarray) -> VolumeIndex:
+        grids = [self.grid(index) for index in range(len(self.persons))]
+        begin = np.concatenate([[0], np.cumsum([len(grid.nodes) for grid in grids])])
+        persons = [max(pose.person, 0) for pose in poses]
+        if not grids:
+            empty = np.zeros((len(poses), 3))
+            return VolumeIndex(
+                np.zeros(1, np.int32), np.zeros(len(poses), np.int64), empty.astype(np.int64) + 2,
+                empty.astype(np.float32), first_row.astype(np.int64), 1.0,
+            )  # fmt: skip
+        return VolumeIndex(
+            nodes=np.concatenate([grid.nodes for grid in grids]) if len(grids) > 1 else grids[0].nodes,
+            first_node=begin[persons].astype(np.int64),
+            dims=np.stack([grids[person].dims for person in persons]),
+            origins=np.stack([grids[person].origin for person in persons]).astype(np.float32),
+            first_row=first_row.astype(np.int64),
+            inverse_cell=1.0 / self.shape.node_cell,
+        )
+
+    def occupied_cells(self, pose: PosedFigure) -> PosedPart:
+        """Posed start grid and bounding points of one pose, from the occupancy as it is now."""
+        body = None
+        if pose.person >= 0:
+            cells = self.occupancy.occupied(pose.person)
+            body = self.warp_points(pose, self.occupancy.centres(pose.person, cells))
+        objects = [
+            (len(self.persons) + index, pose.slots[slot].astype(np.float64)) for slot, index in enumerate(pose.objects)
+        ]
+        return pose_cells(self.occupancy, pose.person if pose.person >= 0 else None, objects, body)
+
+    def warp_points(self, pose: PosedFigure, points: np.ndarray) -> np.ndarray:
+        """Forward skinning of canonical points [K, 3] of the pose's person into root space, float64."""
+        with torch.no_grad():
+            matrices, _ = self.matrices([pose])
+        grid = self.grid(pose.person)
+        place = np.clip((points - grid.origin) / grid.cell, 0.0, grid.dims - 1 - 1e-3)
+        base = place.astype(np.int64)
+        share = place - base
+        rows = matrices.numpy()
+        blended = np.zeros((len(points), 12))
+        for corner in range(8):
+            step = np.array([corner & 1, (corner >> 1) & 1, corner >> 2])
+            weight = np.where(step, share, 1.0 - share).prod(axis=1)
+            x, y, z = (base + step).T
+            blended += weight[:, None] * rows[grid.nodes[x + grid.dims[0] * (y + grid.dims[1] * z)]]
+        blended = blended.reshape(-1, 3, 4)
+        return np.einsum("kij,kj->ki", blended[..., :3], points) + blended[..., 3]
+
+
+def _index(kind: str, name: str, names: list[str]) -> int:
+    if name not in names:
+        raise KeyError(f"the model has no {kind} '{name}'; it has: {', '.join(names) or 'none'}")
+    return names.index(name)

@@ -1,0 +1,50 @@
+"""Occupancy of every part (person or object) in its own frame: cells with a cached density, 0 where nothing is.
+
+Starts as the masks' visual hull, so empty space never costs anything; later follows the field's density.  All
+connected components are kept: an object that does not touch the hand is as real as the hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Occupancy:
+    """Occupancy grids of I parts, concatenated.
+
+    Attributes:
+        cell: metres.
+        origins: [I, 3] float32 lower corners in each part's frame; dims: [I, 3] int64 cells (x fastest).
+        first: [I + 1] int64 begin of each part's cells.
+        densities: [cells] float32, 1/m; 0 = empty.
+    """
+
+    cell: float
+    origins: np.ndarray
+    dims: np.ndarray
+    first: np.ndarray
+    densities: np.ndarray
+
+    def centres(self, part: int, cells: np.ndarray) -> np.ndarray:
+        """[K, 3] float32 centres of a part's cells, given by index within the part."""
+        nx, ny, _ = self.dims[part]
+        index = np.stack([cells % nx, cells // nx % ny, cells // (nx * ny)], axis=-1)
+        return (self.origins[part] + self.cell * (index + 0.5)).astype(np.float32)
+
+    def part(self, part: int) -> np.ndarray:
+        """View of one part's densities."""
+        return self.densities[self.first[part] : self.first[part + 1]]
+
+    def occupied(self, part: int) -> np.ndarray:
+        """Indices, within the part, of its occupied cells."""
+        return np.flatnonzero(self.part(part) > 0)
+
+
+def make_occupancy(lower: np.ndarray, upper: np.ndarray, cell: float) -> Occupancy:
+    """Empty grids over boxes ``lower``, ``upper`` [I, 3], metres."""
+    dims = np.maximum(np.ceil((upper - lower) / cell).astype(np.int64), 1)
+    first = np.concatenate([[0], np.cumsum(dims.prod(axis=1))])
+    return Occupancy(cell, lower.astype(np.float32), dims, first, np.zeros(first[-1], dtype=np.float32))
