@@ -70,7 +70,9 @@ def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> s
     settings.person = person
     settings.armature = rig.armature
     settings.set_objects({name: rig.empties[name] for name in names})
-    return f"Made an armature of {len(header.names)} bones for {person or 'no person'} and empties for {', '.join(names) or 'no object'}"
+    made = [f"an armature of {len(header.names)} bones for {person}"] if rig.armature is not None else []
+    made += [f"empties for {', '.join(names)}"] if names else []
+    return f"Made {' and '.join(made)}"
 
 
 def start_bake(scene: bpy.types.Scene) -> Bake:

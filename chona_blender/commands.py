@@ -1,7 +1,8 @@
 """The add-on without a window: `blender --background scene.blend --command chona …`, or `main([...])` from Python.
 
-Exit codes: 0 done; 1 failed or cancelled; 2 wrong arguments or input, with one line on stderr that says what was given,
-what was expected and what to do. Options replace the scene's CHONA settings; the file is saved only by `--save`.
+Exit codes: 0 done; 1 failed or cancelled; 2 wrong arguments or input, with one line on stderr that says what was
+given, what was expected and what to do. Options replace the scene's CHONA settings; the file is saved only by
+`--save`.
 """
 
 from __future__ import annotations

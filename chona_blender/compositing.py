@@ -1,8 +1,9 @@
 """Puts baked frames into the scene's compositor by depth, and takes them out again without a trace.
 
-One node group `CHONA <name>` is inserted in the link that ends in the tree's output. Nodes that the user made are never changed, moved or
-removed; what had to be switched on for the layer (Z pass, compositing) is remembered in the scene and put back when the last layer goes.
-Several layers stack: each takes picture and depth from the one before it.
+One node group `CHONA <name>` is inserted in the link that ends in the tree's output. Nodes that the user made are
+never changed, moved or removed; what had to be switched on for the layer (Z pass, compositing) is remembered in the
+scene and put back when the last layer goes. Several layers stack: each takes picture and depth from the one before
+it.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ def add_layer(scene: bpy.types.Scene, folder: Path, name: str) -> CompositeResul
     frames = find_baked_frames(folder, name)
     if not frames.numbers:
         raise ChonaError(
-            f"{name} has only frames below 0 and Blender's image sequences begin at 0; move the animation to frame 0 or later and bake it"
+            f"{name} has only frames below 0 and Blender's image sequences begin at 0; "
+            "move the animation to frame 0 or later and bake it again"
         )
     header = read_exr_header(frames.path(frames.numbers[0]))
     image = image_format(scene)
@@ -104,9 +106,9 @@ def current_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
 def _warnings(frames: BakedFrames) -> tuple[str, ...]:
     words = []
     if frames.missing:
-        words.append(
-            f"{len(frames.missing)} frames are missing between {frames.numbers[0]} and {frames.numbers[-1]}: they stay empty"
-        )
+        count = len(frames.missing)
+        are = "1 frame is missing" if count == 1 else f"{count} frames are missing"
+        words.append(f"{are} between {frames.numbers[0]} and {frames.numbers[-1]} and will be empty")
     if frames.negative:
         words.append(f"{len(frames.negative)} frames below 0 are left out: Blender's image sequences begin at 0")
     return tuple(words)
@@ -141,7 +143,7 @@ def _tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     tree = current_tree(scene)
     if tree is None:
         raise ChonaError(
-            "the scene's compositor tree was taken away while a CHONA layer used it; press Remove and then Composite again"
+            "the scene's compositor tree was taken away while a CHONA layer used it; give it back, or start a new one"
         )
     return tree
 
@@ -194,7 +196,8 @@ def _output_socket(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
             if socket.type == "RGBA":
                 return socket
     raise ChonaError(
-        f"the compositor tree {tree.name} has no output for the picture; add a Group Output (4.5: Composite) node with an Image"
+        f"the compositor tree {tree.name} has no output for the picture; "
+        "add a Group Output node (in 4.5: Composite) with an Image"
     )
 
 

@@ -1,8 +1,8 @@
 """The node group of one baked layer: an image sequence, a depth test and two Alpha Overs.
 
 Blender's Z Combine multiplies premultiplied layers by their alpha a second time, so it is not used. Instead, with
-`front` = layer depth < scene depth: `front ? layer over scene : scene over layer`. The second half matters where the scene is transparent or
-half transparent in front of the figure; where it is opaque it is the scene itself.
+`front` = layer depth < scene depth: `front ? layer over scene : scene over layer`. The second half matters where the
+scene is transparent or half transparent in front of the figure; where it is opaque it is the scene itself.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def set_sequence(group: bpy.types.NodeTree, frames: BakedFrames, layer: str) -> 
     first, last = frames.numbers[0], frames.numbers[-1]
     picture.frame_start = first
     picture.frame_offset = first - 1
-    # One more than there are: the frame behind the last has no file and stays empty, where Blender would hold the last picture.
+    # One more than there are: the frame behind the last has no file and stays empty, where Blender would hold the last
+    # picture.
     picture.frame_duration = last - first + 2
     picture.use_cyclic = False
     picture.use_auto_refresh = True

@@ -1,7 +1,8 @@
 """The header of an OpenEXR file, read with the standard library alone.
 
-Blender's Python has no OpenEXR reader and a multilayer image's size is (0, 0) until it is drawn, so the size of a baked frame, its layers
-and the settings it was made with are taken from the file itself. Only the first few kilobytes are read.
+Blender's Python has no OpenEXR reader and a multilayer image's size is (0, 0) until it is drawn, so the size of a
+baked frame, its layers and the settings it was made with are taken from the file itself. Only the first few kilobytes
+are read.
 """
 
 from __future__ import annotations

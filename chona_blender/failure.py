@@ -1,4 +1,6 @@
-"""What is shown when the add-on cannot load: the reason, and a button that copies it. Depends on nothing else of the add-on."""
+"""What is shown when the add-on cannot load: the reason, and a button that copies it. Depends on nothing else of the
+add-on.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Runs a worker for an operator: blocking without a window, modal with one.
 
-A `Job` is what panels draw: title, share done, time left, last words. It never touches Blender's data, so it can be polled anywhere.
+A `Job` is what panels draw: title, share done, time left, last words. It never touches Blender's data, so it can be
+polled anywhere.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class Job:
     def _last_words(self, code: int) -> str:
         said = next((line for line in reversed(self.worker.lines) if line.strip()), "it said nothing")
         how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
-        if code == -signal.SIGABRT or code == -9:
+        if code in {-6, -9}:
             how += " (out of memory?)"
         return f"the worker {how}: {said}"
 
@@ -168,7 +169,10 @@ def _signals_cancel(job: Job) -> Iterator[None]:
 
 
 class JobOperator:
-    """Mixin for operators over a job: subclasses give `start` and `finish`. With a window ESC cancels and the window stays usable."""
+    """Mixin for operators over a job: subclasses give `start` and `finish`.
+
+    With a window, ESC cancels and the window stays usable meanwhile.
+    """
 
     _job: Job | None = None
     _timer: bpy.types.Timer | None = None

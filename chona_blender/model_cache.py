@@ -1,7 +1,7 @@
 """The header of the model that the scene names, read once per version of the file.
 
-Panels and searches look here; a file is opened only by `refresh`, which runs when the path changes, a .blend file is loaded or an operator
-needs it.
+Panels and searches look here; a file is opened only by `refresh`, which runs when the path changes, a .blend file is
+loaded or an operator needs it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The sidebar tab CHONA in the 3D view. Drawing reads the settings and what is cached; nothing is computed and no file is opened."""
+"""The sidebar tab CHONA in the 3D view. Drawing reads the settings and what is cached; nothing is computed and no file
+is opened.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,7 @@ class CHONA_PT_main(_Sidebar, bpy.types.Panel):
 class CHONA_UL_objects(bpy.types.UIList):
     """Objects of the actor with what moves each."""
 
-    def draw_item(  # noqa: PLR0917 - Blender's signature
+    def draw_item(
         self,
         _context: bpy.types.Context,
         layout: bpy.types.UILayout,

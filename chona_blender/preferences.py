@@ -30,7 +30,7 @@ class CHONA_AP_preferences(bpy.types.AddonPreferences):
         default="auto",
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw(self, _context: bpy.types.Context) -> None:
         """The settings, and the result of the last check."""
         from .panels import draw_worker
 

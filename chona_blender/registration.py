@@ -42,10 +42,17 @@ STEPS: tuple[Step, ...] = (
     Step(properties.register, properties.unregister),
     Step(model_cache.register, model_cache.unregister),
     Step(commands.register, commands.unregister),
-    Step(lambda: atexit.register(worker.close_all), lambda: atexit.unregister(worker.close_all)),
+    Step(lambda: atexit.register(_at_exit), lambda: atexit.unregister(_at_exit)),
 )
 
 _done: list[Step] = []
+
+
+def _at_exit() -> None:
+    """End workers when Python ends. The bpy module of 4.5 crashes or hangs on classes with callbacks: take them back."""
+    worker.close_all()
+    if getattr(bpy.app, "module", False):
+        unregister()
 
 
 def register() -> None:

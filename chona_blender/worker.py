@@ -1,7 +1,8 @@
 """The worker: `python -m chona_model …` in a process of its own, spoken to in JSON lines.
 
-Nothing here touches Blender's data, and the reader threads only fill a queue: what they read is looked at in Blender's main thread.
-The worker's Python is another one than Blender's: torch lives there, and a crash or an out-of-memory ends only the worker.
+Nothing here touches Blender's data, and the reader threads only fill a queue: what they read is looked at in
+Blender's main thread. The worker's Python is another one than Blender's: torch lives there, and a crash or an
+out-of-memory ends only the worker.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def sources_folder() -> Path:
 
 
 def find_python(preference: str = "") -> tuple[Path, str]:
-    """The worker's Python and where it was named. A named one that does not exist is an error, never skipped silently."""
+    """The worker's Python and where it was named. A named one must exist: it is never skipped silently."""
     named = [
         (preference, "the add-on's preferences or by --python"),
         (os.environ.get(PYTHON_VARIABLE, ""), f"the variable {PYTHON_VARIABLE}"),
@@ -49,8 +50,8 @@ def find_python(preference: str = "") -> tuple[Path, str]:
                 path = next((p for p in _interpreters(path) if p.is_file()), path)
             if not path.is_file():
                 raise ChonaError(
-                    f"the worker's Python {text}, named in {origin}, does not exist; expected a Python 3.11 or newer with torch: "
-                    "correct it there, or make one with `make env`"
+                    f"the worker's Python {text}, named in {origin}, does not exist; "
+                    "expected a Python 3.11 or newer with torch: correct it there, or make one with `make env`"
                 )
             return path, origin
     for path in _interpreters(sources_folder() / ".venv"):
@@ -79,7 +80,7 @@ def worker_environment() -> dict[str, str]:
 
 
 class Worker:
-    """One running worker process. Use `events` from the main thread; `close` always, it is harmless when all has ended."""
+    """One running worker process. Call `close` always, it is harmless when all has ended."""
 
     def __init__(self, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
         self.command = [str(part) for part in command]
@@ -105,7 +106,8 @@ class Worker:
             )
         except OSError as error:
             raise ChonaError(
-                f"the worker's Python {self.command[0]} does not start: {error.strerror or error}; name another one in the preferences"
+                f"the worker's Python {self.command[0]} does not start: {error.strerror or error}; "
+                "name another one in the preferences"
             ) from error
         self._threads = [
             threading.Thread(target=self._read_events, args=(self._process.stdout,), daemon=True),

@@ -24,12 +24,14 @@ REQUIRED = {
     "tqdm": "tqdm",
 }
 
-# Runs in the worker's Python, which may be any version: plain old syntax. With "load" every package is imported for real, which finds broken
+# Runs in the worker's Python, which may be any version: plain old syntax. With "load" every package is imported for
+# real, which finds broken
 # installs and takes seconds; without, they are only looked up.
 PROBE = """
 import json, sys
 names, load = json.loads(sys.argv[1]), sys.argv[2] == "load"
-found = {"event": "result", "job": "check", "python": list(sys.version_info[:3]), "executable": sys.executable, "missing": [], "broken": {}}
+found = {"event": "result", "job": "check", "python": list(sys.version_info[:3]), "executable": sys.executable}
+found.update(missing=[], broken={})
 if sys.version_info >= (3, 6):
     import importlib.util
     for name in names:

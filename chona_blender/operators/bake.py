@@ -44,7 +44,7 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
             )
         return self._bake.job
 
-    def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
         written, skipped = job.result.get("written", 0), job.result.get("skipped", 0)
         words = f"{written} frames written"
         if skipped:
@@ -67,13 +67,13 @@ class CHONA_OT_cancel(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def poll(cls, _context: bpy.types.Context) -> bool:
         if jobs.running() is None:
             cls.poll_message_set("Nothing is running")
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         job = jobs.running()
         if job is not None:
             job.cancel()

@@ -18,20 +18,20 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def poll(cls, _context: bpy.types.Context) -> bool:
         if jobs.running() is not None:
             cls.poll_message_set("Wait until the running job has ended, or cancel it")
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         diagnosis.worker_report = check_worker(preferences.worker_python())
         if not diagnosis.worker_report.good:
             return jobs.fail(self, ChonaError(diagnosis.worker_report.summary))
         self.report({"INFO"}, f"The worker is ready: {diagnosis.worker_report.summary}")
         return {"FINISHED"}
 
-    def start(self, context: bpy.types.Context) -> jobs.Job:
+    def start(self, _context: bpy.types.Context) -> jobs.Job:
         self._python = find_python(preferences.worker_python())
         return jobs.Job("Check worker", probe_command(self._python[0], load=True))
 
@@ -40,7 +40,7 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
             job.status = jobs.DONE  # a probe that crashed is a finding as well
         return super()._ended(context, job)
 
-    def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
         diagnosis.worker_report = judge(*self._python, job.result or None, job.code, list(job.worker.lines))
         if not diagnosis.worker_report.good:
             raise ChonaError(diagnosis.worker_report.summary)

@@ -29,7 +29,7 @@ class CHONA_OT_train(jobs.JobOperator, bpy.types.Operator):
         self._scene = context.scene.name
         return actions.start_train(context.scene)
 
-    def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
+    def finish(self, _context: bpy.types.Context, _job: jobs.Job) -> str:
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
             return "Trained"
