@@ -127,7 +127,8 @@ class ExactModel(nn.Module):
             orthographic: the rays are cylinders of radius ``rays.radii``.
 
         Raises:
-            ValueError: an unknown covariance, or parameters of another dtype than the rays.
+            ValueError: an unknown covariance, parameters of another dtype than the rays, or, in training, rays that
+                are not finite (when rendering these are transparent, of confidence 0, and count as failed).
         """
         if settings.covariance not in COVARIANCES:
             raise ValueError(f"covariance is '{settings.covariance}', expected one of {', '.join(COVARIANCES)}")
@@ -150,7 +151,7 @@ class ExactModel(nn.Module):
                 )
                 for rows in ([whole] if self.training else whole.split(chunk))
             ]
-            result = _join(parts) if parts else _empty(rays)
+            result = _join(parts)
             if self.training:
                 result = replace(result, regularisers=self.regularisers(poses, generator))
         return result
@@ -169,8 +170,11 @@ class ExactModel(nn.Module):
         settings: ExactSettings,
         orthographic: bool,
     ) -> RayResult:
-        hit = (rays.far > rays.near).nonzero()[:, 0]
-        result = _empty(rays)
+        sound = _finite(rays)
+        if self.training and not bool(sound.all()):
+            raise ValueError(f"{int((~sound).sum())} of {len(sound)} rays hold values that are not finite")
+        hit = ((rays.far > rays.near) & sound).nonzero()[:, 0]
+        result = _empty(rays, sound, settings.samples)
         if len(hit) == 0:
             return result
         part, edges = _take(rays, hit), edges[hit]
@@ -188,8 +192,9 @@ class ExactModel(nn.Module):
             human=result.human.index_copy(0, hit, pixels.mattes[:, 0]),
             object=result.object.index_copy(0, hit, pixels.mattes[:, 1]),
             confidence=result.confidence.index_copy(0, hit, visible_confidence(light, samples.converged)),
-            # A sum for now: chunks differ in how many rays hit.
-            failed_share=torch.stack([(~samples.converged).sum(), torch.tensor(samples.converged.numel()).to(hit)]),
+            # Counts for now: chunks differ in how many rays hit.
+            failed_share=result.failed_share
+            + torch.stack([(~samples.converged).sum(), torch.tensor(samples.converged.numel()).to(hit)]),
             regularisers={},
         )
 
@@ -266,17 +271,27 @@ def _take(rays: RayBatch, rows: Tensor) -> RayBatch:
     return RayBatch(**{name: getattr(rays, name)[rows] for name in RayBatch.__dataclass_fields__})
 
 
-def _empty(rays: RayBatch) -> RayResult:
-    """Rays that miss: transparent, at the empty depth, fully certain; ``failed_share`` holds (failed, counted)."""
+def _finite(rays: RayBatch) -> Tensor:
+    """[R] bool: every number of the ray is finite."""
+    scalars = torch.isfinite(rays.near) & torch.isfinite(rays.far) & torch.isfinite(rays.radii)
+    return scalars & torch.isfinite(rays.origins).all(dim=-1) & torch.isfinite(rays.directions).all(dim=-1)
+
+
+def _empty(rays: RayBatch, sound: Tensor, samples: int) -> RayResult:
+    """Rays that miss: transparent, at the empty depth, certain; rays that are not sound fail with all their samples.
+
+    ``failed_share`` holds (failed, counted) until chunks are joined.
+    """
     zero = torch.zeros_like(rays.near)
+    failed = (~sound).sum() * samples
     return RayResult(
         rgb=torch.zeros_like(rays.origins),
         alpha=zero,
         depth=torch.full_like(zero, EMPTY_DEPTH),
         human=zero.clone(),
         object=zero.clone(),
-        confidence=torch.ones_like(zero),
-        failed_share=torch.zeros(2, dtype=torch.int64, device=zero.device),
+        confidence=sound.to(zero),
+        failed_share=torch.stack([failed, failed]),
         regularisers={},
     )
 

@@ -41,8 +41,12 @@ def ray_weights(density: Tensor, lengths: Tensor) -> RayWeights:
         density: [R, S] per metre, ≥ 0.
         lengths: [R, S] Euclidean metres, ≥ 0 and finite, the last one too.
 
+    Half precision is computed in float32: its exponents end at 65504, long before optical depths do.
+
     A density of 2 in the middle of three intervals of 0.5 m gives the weights (0, 1 - e⁻¹, 0) and leaves e⁻¹.
     """
+    if density.dtype in {torch.float16, torch.bfloat16}:
+        density, lengths = density.float(), lengths.float()
     optical = (density * lengths).clamp(max=LARGEST_OPTICAL_DEPTH)
     passed = torch.cumsum(optical, dim=-1)
     before = torch.cat([torch.zeros_like(passed[..., :1]), passed[..., :-1]], dim=-1)
