@@ -51,7 +51,8 @@ def integrated_encoding(mean: Tensor, covariance: Tensor, degrees: int) -> Tenso
         covariance: [..., 3, 3] in full, or its diagonal [..., 3]; variances from 0 to 1e30.
 
     Returns:
-        [..., 6 degrees] of the mean's dtype, computed in float32 at least; features whose period is far below the Gaussian's width vanish.
+        [..., 6 degrees] of the mean's dtype, computed in float32 at least; features whose period is far below the
+        Gaussian's width vanish.
     """
     if mean.dtype in {torch.float16, torch.bfloat16}:
         return integrated_encoding(mean.float(), covariance.float(), degrees).to(mean.dtype)

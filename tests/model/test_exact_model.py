@@ -134,14 +134,7 @@ def test_codes_colour_each_ray_for_itself() -> None:
 def test_mattes_follow_the_skinning_weights() -> None:
     """All weight on one bone: the whole alpha is the human's, or the object's, or nobody's."""
     for bone, human, thing in ((3, 1.0, 0.0), (BONES, 0.0, 1.0), (BONES + 1, 0.0, 0.0)):
-        model = small_model().eval()
-        output = model.deform.skinning.mlp.output
-        assert output is not None
-        with torch.no_grad():
-            output.weight.zero_()
-            output.bias.zero_()
-            output.bias[bone] = 50.0
-        result = render(model, frontal_rays(3), pose_batch(random_figure(0.2, 1)))
+        result = render(carried_by(bone), frontal_rays(3), pose_batch(random_figure(0.2, 1)))
         torch.testing.assert_close(result.human, human * result.alpha, rtol=1e-6, atol=1e-9)
         torch.testing.assert_close(result.object, thing * result.alpha, rtol=1e-6, atol=1e-9)
         assert result.alpha.max() > 0.05
@@ -165,6 +158,38 @@ def test_the_densest_of_several_roots_is_shown() -> None:
     assert torch.equal(usable, candidates.any(dim=-1))
     # Covariances of 1 mm against none may swap roots of almost the same density, nothing else.
     assert (chosen == best)[usable].float().mean() > 0.98
+
+
+def carried_by(bone: int) -> ExactModel:
+    """Every point moves with one bone alone, without offset or shading."""
+    model = small_model().eval()
+    output = model.deform.skinning.mlp.output
+    assert output is not None
+    with torch.no_grad():
+        output.weight.zero_()
+        output.bias.zero_()
+        output.bias[bone] = 50.0
+    return model
+
+
+def test_the_cones_covariance_is_carried_into_canonical_space() -> None:
+    """Turning the bone that carries everything is turning the rays the other way, fat cones included.
+
+    The covariance passed unrotated must fail here: it is what this test is for.
+    """
+    model, bone = carried_by(9), 9
+    poses = pose_batch(random_figure(0.0, 0))
+    turn = torch.tensor([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]], dtype=torch.float64)
+    rays = dataclasses.replace(frontal_rays(4), radii=torch.full((16,), 0.03, dtype=torch.float64))
+    turned_back = dataclasses.replace(rays, origins=rays.origins @ turn, directions=rays.directions @ turn)
+    turned = poses.transforms.clone()
+    turned[0, bone, :3, :3], turned[0, bone, :3, 3] = turn, 0.0
+    images = {}
+    for covariance in ("warped", "plain"):
+        settings = ExactSettings(samples=6, offset=False, shading=False, covariance=covariance)
+        posed = render(model, rays, dataclasses.replace(poses, transforms=turned), settings)
+        images[covariance] = (posed.rgb - render(model, turned_back, poses, settings).rgb).abs().max()
+    assert images["warped"] < 1e-4 < images["plain"]
 
 
 def test_the_objects_box_stands_in_front_of_the_root() -> None:

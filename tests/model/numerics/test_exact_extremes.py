@@ -18,10 +18,11 @@ from exact_cases import (
     random_figure,
     small_model,
 )
+from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera
+from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.exact import ExactModel
-from chona_model.figure import PoseBatch, RayBatch, RayResult, make_figure
+from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, make_figure
 from chona_model.render.integration import EMPTY_DEPTH
 from chona_model.settings import ExactSettings, InverseSettings
 from chona_model.skeleton import SMPL, forward_kinematics
@@ -140,6 +141,72 @@ def test_rays_that_are_not_finite_are_marked_and_counted(where: str, bad: float)
     assert float(result.failed_share) >= 1 / 9 - 1e-6
     with pytest.raises(ValueError, match="1 of 9 rays hold values that are not finite"):
         model.train().render_rays(damaged, poses, zeros, zeros[:, None], SETTINGS)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, np.pi - 1e-6, np.pi, np.pi + 1e-6])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_rotations_by_nothing_and_by_half_turns(axis: int, angle: float) -> None:
+    """An elbow turned about each axis: points of the forearm are found again, and a render stays finite."""
+    turns = np.tile(np.eye(3), (BONES, 1, 1))
+    turns[18] = Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
+    world = forward_kinematics(SMPL, REST_JOINTS, turns, np.zeros(3))
+    poses = pose_batch(make_figure(RIG, world, np.eye(4)[None], 1), dtype=torch.float32)
+    model = small_model(dtype=torch.float32)
+    x = torch.tensor(REST_JOINTS[18] + np.linspace(0.3, 0.9, 20)[:, None] * (REST_JOINTS[20] - REST_JOINTS[18])).float()
+    index = torch.zeros(20, dtype=torch.int64)
+    output = model.deform.skinning.mlp.output
+    assert output is not None
+    with torch.no_grad():
+        output.bias[18] = 3.0  # the forearm's own bone dominates, the others still pull
+        targets = model.deform(x, poses, index)
+    roots = model.find_canonical(targets, poses, index, ExactSettings())
+    found = ((roots.points - x[:, None]).norm(dim=-1) < 1e-3) & roots.converged
+    assert found.any(dim=-1).float().mean() >= 0.9
+    check(model, poses, frontal_rays(4, torch.float32))
+
+
+@pytest.mark.parametrize("degrees", [0.1, 60.0, 170.0])
+def test_fields_of_view(degrees: float) -> None:
+    focal = 4.0 / np.tan(np.radians(degrees) / 2)
+    camera = Camera(np.array([[focal, 0, 4], [0, focal, 4], [0, 0, 1]]), np.diag([1.0, -1.0, -1.0, 1.0]), 8, 8)
+    distance = min(0.4 / np.tan(np.radians(degrees) / 2), 800.0)
+    camera.world_from_camera[2, 3] = distance + 0.3
+    figure = random_figure(0.5, 0)
+    rays = camera_rays(figure, camera, max(distance - 1.0, 0.0), distance + 1.0)
+    result = check(small_model(dtype=torch.float32), pose_batch(figure, dtype=torch.float32), rays)
+    assert result.alpha.max() > 0.01
+
+
+def test_an_orthographic_camera() -> None:
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 3.0
+    figure, model = random_figure(0.5, 0), small_model(dtype=torch.float32).eval()
+    camera = Camera(np.array([[4.0, 0, 4], [0, 4.0, 4], [0, 0, 1]]), pose, 8, 8, ORTHOGRAPHIC)
+    rays = camera_rays(figure, camera, 1.5, 4.5, radius=0.1)
+    zeros, poses = torch.zeros(64, dtype=torch.int64), pose_batch(figure, dtype=torch.float32)
+    near = model.render_rays(rays, poses, zeros, zeros[:, None], SETTINGS, orthographic=True)
+    away = dataclasses.replace(
+        rays, origins=rays.origins - 64 * rays.directions, near=rays.near + 64, far=rays.far + 64
+    )
+    far = model.render_rays(away, poses, zeros, zeros[:, None], SETTINGS, orthographic=True)
+    assert near.alpha.max() > 0.1
+    torch.testing.assert_close(near.rgb, far.rgb, rtol=0, atol=1e-3)
+    torch.testing.assert_close(far.depth[near.alpha > 0] - 64, near.depth[near.alpha > 0], rtol=0, atol=1e-2)
+
+
+def camera_rays(figure: Figure, camera: Camera, near: float, far: float, radius: float | None = None) -> RayBatch:
+    """Float32 rays through all pixel centres; mip-NeRF's base radius unless one is given."""
+    origins, directions = figure.rays(camera, camera.pixel_centres().reshape(-1, 2))
+    ones = torch.ones(len(origins))
+    base = 2 / np.sqrt(12) / camera.intrinsics[0, 0] if radius is None else radius
+    return RayBatch(
+        torch.tensor(origins, dtype=torch.float32),
+        torch.tensor(directions, dtype=torch.float32),
+        float(base) * ones,
+        near * ones,
+        far * ones,
+        torch.zeros(len(origins), dtype=torch.int64),
+    )
 
 
 def photograph(shift: tuple[float, ...], dtype: torch.dtype) -> RayResult:
