@@ -130,6 +130,8 @@ def _scene(name: str | None) -> bpy.types.Scene:
 
 def _apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
     """Put the options that were given into the scene's settings."""
+    if arguments.save == "" and not bpy.data.filepath:  # before anything is done
+        raise ChonaError("--save needs a file name, because the open file has none; write --save FILE.blend")
     settings = scene.chona
     given = {key: value for key, value in vars(arguments).items() if value is not None}
     for option, target in (
@@ -185,8 +187,6 @@ def _pair(text: str) -> tuple[str, bpy.types.Object]:
 def _save(arguments: argparse.Namespace) -> int:
     if arguments.save is not None:
         target = arguments.save or bpy.data.filepath
-        if not target:
-            raise ChonaError("--save needs a file name, because the open file has none; write --save FILE.blend")
         try:
             bpy.ops.wm.save_as_mainfile(filepath=str(Path(target).absolute()), check_existing=False)
         except RuntimeError as error:

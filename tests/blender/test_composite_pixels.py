@@ -1,7 +1,7 @@
 """The composite, checked by pixels: synthetic frames of known colour, alpha and depth against known geometry.
 
-The frames are written with OpenEXR here, the scene is rendered by Blender with the tree that the add-on builds, and what
-has to be seen is computed here by hand.
+The frames are written with OpenEXR here, the scene is rendered by Blender with the tree that the add-on builds, and
+what has to be seen is computed here by hand.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-
 from operation_helpers import bpy_pythons, run_bpy
 
 WIDTH, HEIGHT = 32, 16

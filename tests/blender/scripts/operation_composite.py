@@ -34,7 +34,8 @@ for film_transparent in (False, True):
 
 scene = empty_scene()
 scene.render.resolution_percentage = 50
-for name, folder, percentage in (("walk", frames, 50), ("other", frames, 100), ("walk", frames / "nothing", 100), ("old", frames, 100)):
+wrong = (("walk", frames, 50), ("other", frames, 100), ("walk", frames / "nothing", 100), ("old", frames, 100))
+for name, folder, percentage in wrong:
     scene.render.resolution_percentage = percentage
     try:
         compositing.add_layer(scene, folder, name)
