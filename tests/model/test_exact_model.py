@@ -192,6 +192,31 @@ def test_the_cones_covariance_is_carried_into_canonical_space() -> None:
     assert images["warped"] < 1e-4 < images["plain"]
 
 
+def test_a_medium_of_constant_density_absorbs_by_euclidean_length() -> None:
+    """Rays have unit length along the camera axis: oblique ones pass through more medium between the same depths."""
+    model, poses = carried_by(BONES + 1), pose_batch(random_figure(0.0, 0))
+    with torch.no_grad():
+        model.field.density_layer.weight.zero_()
+    rays = frontal_rays(5)
+    rays = dataclasses.replace(rays, near=torch.full_like(rays.near, 2.5), far=torch.full_like(rays.far, 3.0))
+    sigma = torch.log1p(torch.exp(torch.tensor(-1.0, dtype=torch.float64)))
+    result = render(model, rays, poses, dataclasses.replace(SETTINGS, offset=False))
+    expected = 1 - torch.exp(-sigma * 0.5 * rays.directions.norm(dim=-1))
+    torch.testing.assert_close(result.alpha, expected)
+    assert expected.max() - expected.min() > 0.005
+
+
+def test_no_rays_and_no_hits_in_training() -> None:
+    model, poses, rays = small_model().train(), pose_batch(random_figure(0.5, 0)), frontal_rays(2)
+    nothing = RayBatch(**{name: getattr(rays, name)[:0] for name in RayBatch.__dataclass_fields__})
+    for batch in (nothing, dataclasses.replace(rays, far=rays.near)):
+        result = render(model, batch, poses)
+        assert result.rgb.shape == (len(batch.near), 3) and float(result.failed_share) == 0.0
+        (result.rgb.sum() + result.regularisers["weights"]).backward()
+        assert render(model.eval(), batch, poses).alpha.shape == (len(batch.near),)
+        model.train()
+
+
 def test_the_objects_box_stands_in_front_of_the_root() -> None:
     poses = pose_batch(random_figure(0.5, 1), random_figure(0.5, 2, with_object=False))
     poses = dataclasses.replace(poses, objects=torch.tensor([[1], [-1]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import torch
 from exact_cases import BONES, OBJECT_DISTANCE, REST_JOINTS, SHAPE, pose_batch, random_figure, small_model
 
-from chona_model.deform.inverse import Warp, bone_starts, find_roots, first_of_equals
+from chona_model.deform.inverse import STEP_LIMIT, Warp, bone_starts, find_roots, first_of_equals
 from chona_model.deform.skinning import blend
 from chona_model.figure import PoseBatch
 from chona_model.settings import InverseSettings
@@ -174,6 +175,25 @@ def test_unreachable_targets_fail_and_keep_the_best_point() -> None:
     assert not roots.found.any() and not roots.distinct.any()
     assert float(roots.residuals[0, 0]) == pytest.approx(1.0, abs=0.05)
     assert float(roots.points[0, 0, 0]) == pytest.approx(math.pi / 2, abs=0.3)
+
+
+def test_no_step_is_longer_than_the_limit() -> None:
+    """From 1.5 the Newton step of sin x = 0 is -14 long; it must arrive at 0, not at some other multiple of π."""
+    visited: list[float] = []
+
+    def warp(x: torch.Tensor, _: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        visited.append(float(x[0, 0]))
+        ones = torch.ones_like(x[:, 0])
+        posed = torch.stack([torch.sin(x[:, 0]), x[:, 1], x[:, 2]], dim=-1)
+        return posed, torch.diag_embed(torch.stack([torch.cos(x[:, 0]), ones, ones], dim=-1))
+
+    starts = torch.tensor([[[1.5, 0.0, 0.0]]], dtype=torch.float64)
+    roots = find_roots(
+        warp, torch.zeros(1, 3).double(), starts, torch.ones(1, 1, dtype=torch.bool), size=4.0,
+        settings=InverseSettings(steps=40),
+    )  # fmt: skip
+    assert roots.found.all() and abs(float(roots.points[0, 0, 0])) < 1e-4
+    assert max(abs(a - b) for a, b in itertools.pairwise(visited)) <= STEP_LIMIT * 4.0 + 1e-12
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
