@@ -71,6 +71,16 @@ def test_chunks_change_nothing() -> None:
         torch.testing.assert_close(getattr(whole, name), getattr(chunked, name))
 
 
+def test_rays_of_several_poses_see_each_their_own() -> None:
+    model, figures, rays = small_model().eval(), [random_figure(0.8, seed) for seed in (1, 2)], frontal_rays(4, poses=2)
+    both = render(model, rays, pose_batch(*figures))
+    for number, figure in enumerate(figures):
+        rows = rays.pose == number
+        alone = render(model, dataclasses.replace(rays, pose=torch.zeros_like(rays.pose)), pose_batch(figure))
+        for name in IMAGES:
+            torch.testing.assert_close(getattr(both, name)[rows], getattr(alone, name)[rows])
+
+
 def test_float32_agrees_with_float64() -> None:
     """Stated bound: 1e-3 of colour and alpha, 1 mm of depth in the mean."""
     poses = random_figure(0.8, 1)

@@ -13,6 +13,7 @@ from chona_model.data.dataset import SkinnedSurface
 from chona_model.deform.initialise import initialise_from_bones, initialise_from_surface
 from chona_model.deform.regularisers import bone_regularisers
 from chona_model.deform.skinning import DeformShape, OffsetMLP, SkinningMLP, softmax_weights
+from chona_model.geometry import segment_distances
 from chona_model.skeleton import SMPL
 
 TAILS = SMPL.bone_tails(REST_JOINTS)
@@ -112,6 +113,33 @@ def test_regularisers_vanish_for_one_hot_weights_and_count_present_bones_alone()
     present = dataclasses.replace(poses, present=torch.ones_like(poses.present))
     # The object's samples sit on the pelvis here: 5 of 125 rows are wrong by two entries of 26.
     assert float(bone_regularisers(OneHot(), present, boxes)["weights"]) == pytest.approx(2 / 26 / 25)
+
+
+def test_drawn_regulariser_points_lie_on_the_segments_and_in_the_boxes() -> None:
+    seen: dict[str, torch.Tensor] = {}
+
+    class Recorder(torch.nn.Module):
+        def weights(self, x: torch.Tensor, poses: object, index: torch.Tensor) -> torch.Tensor:
+            seen["points"], seen["poses"] = x, index
+            return torch.zeros(len(x), BONES + 2, dtype=x.dtype)
+
+        def offset(self, x: torch.Tensor, codes: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+            return torch.zeros_like(x)
+
+    poses = pose_batch(*[random_figure(0.5, seed) for seed in range(11)])
+    centre = torch.tensor(OBJECT)
+    boxes = torch.stack([centre - 0.2, centre + 0.2]).expand(11, 1, 2, 3)
+    draws = []
+    for seed in (1, 1, 2):
+        bone_regularisers(Recorder(), poses, boxes, torch.Generator().manual_seed(seed))
+        draws.append(seen["points"].view(8, BONES + 1, 5, 3))
+    assert torch.equal(draws[0], draws[1]) and not torch.equal(draws[0], draws[2])
+    body, thing = draws[0][:, :BONES], draws[0][:, BONES]
+    heads, tails = torch.tensor(REST_JOINTS)[:, None], torch.tensor(TAILS)[:, None]
+    assert segment_distances(body, heads, tails).max() < 1e-12
+    offsets = thing - centre
+    assert offsets.abs().max() <= 0.2 and offsets.std(dim=(0, 1)).min() > 0.08
+    assert torch.corrcoef(offsets.reshape(-1, 3).T).triu(1).abs().max() < 0.6
 
 
 def fit(kind: str) -> tuple[SkinningMLP, float]:
