@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from . import compositing, model_cache, preferences
+from . import compositing, diagnosis, model_cache, preferences
 from .errors import ChonaError
 from .frames import describe_frames
 from .jobs import Job
 from .rig.armature import create_rig
 from .shot import sample_shot, save_shot
 from .worker import chona_command
-from .worker_check import require_worker
+from .worker_check import check_worker
 
 if TYPE_CHECKING:
     from .properties import CHONA_PG_settings
@@ -99,7 +99,7 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
         )
         raise ChonaError(f"the frame range {first} to {last} is empty; set a last frame that is not before the first")
     folder = writable_folder(settings.output_folder, "output folder")
-    python = require_worker(preferences.worker_python())
+    python = _worker_python()
     shot = folder / f"{name}.shot.npz"
     empties = {item.name: item.empty for item in objects}
     sampled = sample_shot(
@@ -121,7 +121,7 @@ def start_train(scene: bpy.types.Scene) -> Job:
     if not data.is_dir():
         raise ChonaError(f"there is no data folder {data}; choose the folder with the captures under Train")
     run = writable_folder(settings.run_folder, "result folder")
-    python = require_worker(preferences.worker_python())
+    python = _worker_python()
     arguments = ["train", "--data", str(data), "--format", settings.data_format, "--out", str(run)]
     arguments += ["--preset", settings.train_preset, "--minutes", f"{settings.minutes:g}", *_device()]
     if settings.sequences.strip():
@@ -153,6 +153,15 @@ def bake_name(settings: CHONA_PG_settings) -> str:
     if not name or name.startswith(".") or any(character in name for character in '/\\:*?"<>|#'):
         raise ChonaError(f"the name {settings.name!r} cannot be part of a file name; write letters, digits, - and _")
     return name
+
+
+def _worker_python() -> Path:
+    """The worker's Python after a quick look at what it has; what is wrong is kept for the report."""
+    report = check_worker(preferences.worker_python(), load=False, seconds=60.0)
+    if not report.good:
+        diagnosis.worker_report = report
+        raise ChonaError(report.summary)
+    return report.python
 
 
 def _device() -> list[str]:

@@ -66,8 +66,9 @@ class CHONA_UL_objects(bpy.types.UIList):
     ) -> None:
         row = layout.row(align=True)
         row.prop(item, "use", text="")
-        row.prop(item, "name", text="", emboss=False)
-        part = row.row(align=True)
+        parts = row.split(factor=0.45, align=True)
+        parts.prop(item, "name", text="", emboss=False)
+        part = parts.row(align=True)
         part.alert = item.use and item.empty is None
         part.prop(item, "empty", text="")
 
@@ -83,6 +84,7 @@ class CHONA_PT_rig(_Sidebar, bpy.types.Panel):
         column = self.columns()
         column.prop(settings, "person", icon="USER")
         column.prop(settings, "armature", icon="ARMATURE_DATA")
+        self.layout.use_property_split = False  # a list's rows have no labels on the left
         self.layout.label(text="Objects and what moves them:")
         row = self.layout.row()
         row.template_list("CHONA_UL_objects", "", settings, "objects", settings, "active_object", rows=2)

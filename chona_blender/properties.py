@@ -130,7 +130,7 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         description="Bake frames again that are there already and up to date; without, they are skipped",
     )
     composite_after: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Composite When Done",
+        name="Then Composite",
         description="Put the frames into the scene's compositor when the bake has finished",
         default=True,
     )

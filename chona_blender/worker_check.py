@@ -113,7 +113,7 @@ def check_worker(preference: str = "", load: bool = True, seconds: float = 180.0
 
 def judge(python: Path, origin: str, answer: dict[str, Any] | None, code: int | None, lines: list[str]) -> WorkerReport:
     """Turn what the probe answered into words."""
-    other = "name another Python in the add-on's preferences (Edit ▸ Preferences ▸ Add-ons ▸ CHONA)"
+    other = "name another Python in the add-on's preferences"
     if answer is None:
         last = lines[-1] if lines else "it said nothing"
         what = "did not answer in time" if code is None else f"ended with code {code}"
@@ -128,9 +128,12 @@ def judge(python: Path, origin: str, answer: dict[str, Any] | None, code: int | 
         )
     missing, broken = answer["missing"], answer["broken"]
     if missing:
-        packages = " ".join(REQUIRED.get(name, name) for name in missing)
-        remedy = f"install with `{python} -m pip install {packages}`, or {other}"
-        return WorkerReport(python, origin, f"the worker's Python {python} has no {', '.join(missing)}", remedy, answer)
+        packages = " ".join(REQUIRED[name] for name in missing if name in REQUIRED)
+        install = {"to install": f"{python} -m pip install {packages}"} if packages else {}
+        more = f" and {len(missing) - 1} more packages" if len(missing) > 1 else ""
+        remedy = f"{other}, or install them (the report has the command)"
+        problem = f"the worker's Python {python} has no {missing[0]}{more}"
+        return WorkerReport(python, origin, problem, remedy, answer | install)
     if broken:
         name, reason = next(iter(broken.items()))
         remedy = f"reinstall with `{python} -m pip install --force-reinstall {REQUIRED[name]}`, or {other}"
@@ -138,11 +141,3 @@ def judge(python: Path, origin: str, answer: dict[str, Any] | None, code: int | 
             python, origin, f"{name} in the worker's Python {python} does not load ({reason})", remedy, answer
         )
     return WorkerReport(python, origin, details=answer)
-
-
-def require_worker(preference: str = "") -> Path:
-    """The worker's Python after a quick look (a tenth of a second); an error in words when it cannot work."""
-    report = check_worker(preference, load=False, seconds=60.0)
-    if not report.good:
-        raise ChonaError(report.summary)
-    return report.python

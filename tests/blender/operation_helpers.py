@@ -15,6 +15,27 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = Path(__file__).parent / "scripts"
 
 
+FIGURE = (
+    ("pelvis", -1, (0.0, 0.95, 0.0)),
+    ("spine", 0, (0.0, 1.12, 0.0)),
+    ("neck", 1, (0.0, 1.45, 0.0)),
+    ("head", 2, (0.0, 1.55, 0.02)),
+    ("left_hip", 0, (0.09, 0.9, 0.0)),
+    ("left_knee", 4, (0.1, 0.5, 0.0)),
+    ("left_ankle", 5, (0.1, 0.09, -0.02)),
+    ("left_shoulder", 1, (0.17, 1.4, 0.0)),
+    ("left_elbow", 7, (0.44, 1.4, 0.0)),
+    ("left_wrist", 8, (0.69, 1.4, 0.0)),
+    ("right_hip", 0, (-0.09, 0.9, 0.0)),
+    ("right_knee", 10, (-0.1, 0.5, 0.0)),
+    ("right_ankle", 11, (-0.1, 0.09, -0.02)),
+    ("right_shoulder", 1, (-0.17, 1.4, 0.0)),
+    ("right_elbow", 13, (-0.44, 1.4, 0.0)),
+    ("right_wrist", 14, (-0.69, 1.4, 0.0)),
+)
+"""A small figure: bone, parent, canonical rest joint."""
+
+
 def bpy_pythons() -> list[str]:
     """The Pythons with bpy, or one entry that makes tests skip."""
     found = [part for part in os.environ.get("CHONA_BPY", "").split(os.pathsep) if part]
@@ -44,8 +65,8 @@ def write_header_only_model(path: Path, version: int = 1) -> Path:
         "version": version,
         "method": "chona",
         "field": "grid",
-        "skeleton": {"names": ["pelvis", "left_hip", "right_hip", "spine"], "parents": [-1, 0, 0, 0]},
-        "persons": {"Robin": {"rest_joints": [[0, 0.9, 0], [0.1, 0.8, 0], [-0.1, 0.8, 0], [0, 1.1, 0]]}},
+        "skeleton": {"names": [name for name, _, _ in FIGURE], "parents": [parent for _, parent, _ in FIGURE]},
+        "persons": {"Robin": {"rest_joints": [joint for _, _, joint in FIGURE]}},
         "objects": {"crate": {"lower": [-0.2, -0.2, -0.2], "upper": [0.2, 0.2, 0.2]}},
         "object_distance": 1.5,
         "settings": {},

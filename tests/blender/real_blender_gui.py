@@ -1,0 +1,191 @@
+"""Runs inside the real Blender with a window: installs the zip, works through the sidebar, leaves numbered pictures.
+
+Not collected by pytest; `test_real_blender.py` starts it. After `--`: zip, model, worker's Python, output folder.
+Pictures are taken with `scrot`, because Blender's own screenshot is black under software OpenGL.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+
+package, model, python, out = (Path(part) for part in sys.argv[sys.argv.index("--") + 1 :][:4])
+answer: dict = {"version": list(bpy.app.version), "steps": []}
+CLOSED_HEADERS = (268, 240)  # of Worker and Train in a window of 1280 x 860, below Model
+SLOW_WORKER = """
+import json, sys, time
+def say(**event): print(json.dumps(event), flush=True)
+say(event="start", job="bake", total=50)
+for done in range(1, 51):
+    time.sleep(0.2)
+    say(event="progress", job="bake", done=done, total=50, seconds=0.2 * done, eta=0.2 * (50 - done), message="shot")
+say(event="result", job="bake", written=50, skipped=0, seconds=10.0)
+"""
+
+
+def view_area() -> bpy.types.Area:
+    """The 3D view of the first window."""
+    screen = bpy.context.window_manager.windows[0].screen
+    return next(area for area in screen.areas if area.type == "VIEW_3D")
+
+
+def picture(name: str) -> None:
+    """A picture of the whole screen."""
+    subprocess.run(["scrot", "-o", str(out / f"{name}.png")], check=True)
+    answer["steps"].append(name)
+
+
+def call(operator: str, *arguments: str, **options: object) -> set[str]:
+    """An operator as a click in the sidebar would call it."""
+    area = view_area()
+    region = next(each for each in area.regions if each.type == "UI")
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region):
+        return getattr(bpy.ops.chona, operator)(*arguments, **options)
+
+
+def addon() -> str:
+    """The name that the add-on has as an extension."""
+    return "bl_ext.user_default.chona"
+
+
+def module(name: str) -> object:
+    """One of the add-on's modules."""
+    return sys.modules[f"{addon()}.{name}"]
+
+
+def arrange() -> Iterator[float]:
+    """A sidebar that is wide enough, on our tab."""
+    area = view_area()
+    area.spaces.active.show_region_ui = True
+    yield 0.5
+    region = next(each for each in area.regions if each.type == "UI")
+    region.active_panel_category = "CHONA"
+    area.tag_redraw()
+    yield 0.8
+
+
+def story() -> Iterator[float]:
+    """What an animator does; each `yield` lets Blender go on for so many seconds."""
+    bpy.ops.extensions.package_install_files(filepath=str(package), repo="user_default", enable_on_install=True)
+    bpy.ops.wm.save_userpref()
+    answer["enabled"] = addon() in bpy.context.preferences.addons
+    for name in ("Cube", "Light"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    yield 0.5
+    yield from arrange()
+    picture("01_nothing_set")
+
+    scene = bpy.context.scene
+    scene.chona.model_path = str(model)
+    answer["rig"] = list(call("create_rig", "EXEC_DEFAULT"))
+    scene.chona.output_folder = str(out / "frames")
+    scene.frame_end = 50
+    look_at_rig()
+    yield from redraw()
+    picture("02_rig")
+
+    addon_preferences = bpy.context.preferences.addons[addon()].preferences
+    addon_preferences.worker_python = sys.executable  # Blender's own Python has no torch
+    answer["bake without torch"] = attempt("bake", "INVOKE_DEFAULT")
+    yield from redraw()
+    picture("03_worker_without_torch")
+    answer["error"] = module("jobs").last_error()
+    call("dismiss_error")
+
+    addon_preferences.worker_python = str(python)
+    answer["check"] = list(call("check_worker", "INVOKE_DEFAULT"))
+    yield from until_idle(60.0)
+    answer["worker"] = module("diagnosis").worker_report.summary
+
+    real = module("actions").chona_command
+    module("actions").chona_command = lambda found, _arguments: [str(found), "-c", SLOW_WORKER]
+    scene.chona.composite_after = False
+    answer["bake"] = list(call("bake", "INVOKE_DEFAULT"))
+    yield 4.0
+    picture("04_bake_runs")
+    answer["while running"] = module("jobs").running().text
+    subprocess.run(["xdotool", "mousemove", "400", "400", "key", "Escape"], check=True)
+    yield from until_idle(20.0)
+    answer["after escape"] = module("jobs").board.last.status
+    module("actions").chona_command = real
+    yield from redraw()
+    picture("05_cancelled")
+
+    yield from show_closed_panels()
+    picture("06_train_and_worker")
+
+
+def redraw(times: int = 4) -> Iterator[float]:
+    """Panels slide to their places over several redraws, which come only when something happens."""
+    for _ in range(times):
+        for area in bpy.context.window_manager.windows[0].screen.areas:
+            area.tag_redraw()
+        yield 0.4
+
+
+def look_at_rig() -> None:
+    """Stand before the figure, a little above."""
+    space = view_area().spaces.active
+    space.region_3d.view_location = (0.0, -0.4, 0.9)
+    space.region_3d.view_rotation = (0.78, 0.58, 0.13, 0.18)
+    space.region_3d.view_distance = 5.0
+
+
+def show_closed_panels() -> Iterator[float]:
+    """Open the panels that begin closed by clicks on their headers, the lower one first; take the others away."""
+    for cls in module("panels").CLASSES:
+        if cls.__name__ in {"CHONA_PT_rig", "CHONA_PT_bake", "CHONA_PT_composite"}:
+            bpy.utils.unregister_class(cls)
+    yield from redraw()
+    for height in CLOSED_HEADERS:
+        subprocess.run(["xdotool", "mousemove", "810", str(height), "click", "1"], check=True)
+        yield from redraw()
+
+
+def attempt(operator: str, *arguments: str) -> str:
+    """What an operator answers, or the words of its error."""
+    try:
+        return str(sorted(call(operator, *arguments)))
+    except RuntimeError as error:
+        return str(error)
+
+
+def until_idle(seconds: float) -> Iterator[float]:
+    """Wait for the running job."""
+    end = time.monotonic() + seconds
+    while module("jobs").running() is not None and time.monotonic() < end:
+        yield 0.2
+
+
+def leave(code: int) -> None:
+    """Write what was seen and go, without asking whether to save."""
+    (out / "answer.json").write_text(json.dumps(answer, indent=1))
+    os._exit(code)
+
+
+steps = story()
+
+
+def step() -> float | None:
+    """One step of the story; a failure ends Blender with its words in the answer."""
+    try:
+        return next(steps)
+    except StopIteration:
+        leave(0)
+    except Exception:
+        answer["failure"] = traceback.format_exc()
+        picture("99_failure")
+        leave(9)
+    return None
+
+
+bpy.context.preferences.view.show_splash = False
+bpy.app.timers.register(step, first_interval=1.0)
