@@ -8,14 +8,16 @@ given, what was expected and what to do. Options replace the scene's CHONA setti
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import bpy
 
-from . import actions, compositing, jobs, preferences, worker
+from . import actions, capturing, compositing, jobs, preferences, worker
 from .errors import ChonaError
 from .frames import parse_frames
 from .properties import FORMATS, PRESETS, TRAIN_PRESETS
@@ -89,6 +91,31 @@ def train(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     return _run(actions.start_train(scene))
 
 
+def capture(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
+    """Render training data of a rigged character of the scene."""
+
+    def progress(done: int, total: int, message: str) -> None:
+        seconds = time.monotonic() - begun
+        eta = seconds / done * (total - done) if done else None
+        event = {"event": "progress", "job": "capture", "done": done, "total": total, "seconds": seconds, "eta": eta}
+        if arguments.progress == "json":
+            sys.stdout.write(json.dumps(event | {"message": message}) + "\n")
+            sys.stdout.flush()
+        else:
+            _say(f"chona: capture: {done} of {total}: {message}")
+
+    begun = time.monotonic()
+    result = capturing.run_capture(scene, progress)
+    for words in result.dropped:
+        _say(f"chona: warning: {words} was dropped")
+    if arguments.progress == "json":
+        event = {"event": "result", "job": "capture", "written": result.rendered, "skipped": result.skipped}
+        sys.stdout.write(json.dumps(event) + "\n")
+        sys.stdout.flush()
+    _say(f"chona: captured {result.rendered} frames, {result.skipped} were there: {result.folder}")
+    return DONE
+
+
 def check(_scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """Say whether the worker can work."""
     report = check_worker(preferences.worker_python())
@@ -148,18 +175,25 @@ def _apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         ("method", "train_preset"),
         ("minutes", "minutes"),
         ("resume", "resume"),
+        *((name, name) for name in CAPTURE_OPTIONS),
     ):
         if option in given:
             setattr(settings, target, str(Path(given[option]).absolute()) if option in PATH_OPTIONS else given[option])
     if "armature" in given:
         settings.armature = _object(given["armature"])
+    for name in ("capture_armature", "capture_object"):
+        if name in given:
+            setattr(settings, name, _object(given[name]))
     if "object" in given:
         settings.set_objects(dict(_pair(text) for text in given["object"]))
     if "frames" in given:
         _set_frames(settings, given["frames"])
 
 
-PATH_OPTIONS = {"model", "out", "data", "run_folder"}
+PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
+CAPTURE_OPTIONS = tuple(
+    f"capture_{name}" for name in ("person", "sequence", "folder", "cameras", "width", "height", "samples")
+)
 
 
 def _set_frames(settings: bpy.types.PropertyGroup, text: str) -> None:
@@ -249,6 +283,21 @@ def _parser() -> argparse.ArgumentParser:
     actor(one)
     save(one)
     one.add_argument("--objects", metavar="A,B", help="objects of the model (default: all)")
+
+    one = add("capture", capture, "Render training data of a rigged character.")
+    one.add_argument("--capture-armature", metavar="OBJECT", help="armature of the character")
+    one.add_argument(
+        "--capture-object", metavar="OBJECT", help="what the character handles: a mesh, or an empty over some"
+    )
+    one.add_argument("--capture-person", metavar="NAME", help="name of the character in the model")
+    one.add_argument("--capture-sequence", metavar="NAME", help="name of this performance")
+    one.add_argument("--capture-folder", metavar="FOLDER", help="folder for the capture")
+    one.add_argument("--capture-cameras", type=int, metavar="N", help="cameras in the ring")
+    one.add_argument("--capture-width", type=int, metavar="PIXELS")
+    one.add_argument("--capture-height", type=int, metavar="PIXELS")
+    one.add_argument("--capture-samples", type=int, metavar="N", help="Cycles samples a pixel")
+    one.add_argument("--frames", metavar="A-B[:STEP]", help="frames to capture (default: the settings')")
+    one.add_argument("--progress", choices=["text", "json"], default="text", help="how progress is told")
 
     one = add("train", train, "Learn a model from captures.")
     python(one)

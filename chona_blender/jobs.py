@@ -25,7 +25,7 @@ RUNNING, DONE, FAILED, CANCELLED = "RUNNING", "DONE", "FAILED", "CANCELLED"
 class Job:
     """A worker with what it has reported so far."""
 
-    def __init__(self, title: str, command: Sequence[str]) -> None:
+    def __init__(self, title: str, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
         self.title = title
         self.status = RUNNING
         self.done = 0.0
@@ -37,7 +37,7 @@ class Job:
         self.error = ""
         self.code: int | None = None
         self.started = time.monotonic()
-        self.worker = Worker(command)
+        self.worker = Worker(command, environment)
 
     @property
     def share(self) -> float:

@@ -140,6 +140,32 @@ class CHONA_PT_composite(_Sidebar, bpy.types.Panel):
         self.layout.operator("chona.open_output", icon="FILE_FOLDER")
 
 
+class CHONA_PT_capture(_Sidebar, bpy.types.Panel):
+    """Captures from a rigged character of the scene."""
+
+    bl_idname = "CHONA_PT_capture"
+    bl_label = "Capture"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        settings = context.scene.chona
+        column = self.columns()
+        column.prop(settings, "capture_armature")
+        column.prop(settings, "capture_object")
+        column.prop(settings, "capture_person")
+        column.prop(settings, "capture_sequence")
+        column.prop(settings, "capture_folder")
+        column.prop(settings, "capture_cameras")
+        part = column.column(align=True)
+        part.prop(settings, "capture_width")
+        part.prop(settings, "capture_height")
+        column.prop(settings, "capture_samples")
+        frames = settings.frames()
+        images = 2 * len(frames) * settings.capture_cameras
+        self.layout.label(text=f"{describe_frames(frames).capitalize()}: {images} renders", icon="INFO")
+        self.layout.operator("chona.capture", icon="OUTLINER_OB_CAMERA")
+
+
 class CHONA_PT_train(_Sidebar, bpy.types.Panel):
     """A model from captures."""
 
@@ -159,7 +185,7 @@ class CHONA_PT_train(_Sidebar, bpy.types.Panel):
         column.prop(settings, "resume")
         row = self.layout.row(align=True)
         row.operator("chona.train", icon="PLAY")
-        row.operator("chona.use_trained", icon="IMPORT")
+        row.operator("chona.use_trained", text="Use Result", icon="IMPORT")
 
 
 class CHONA_PT_worker(_Sidebar, bpy.types.Panel):
@@ -246,6 +272,7 @@ CLASSES = (
     CHONA_PT_rig,
     CHONA_PT_bake,
     CHONA_PT_composite,
+    CHONA_PT_capture,
     CHONA_PT_train,
     CHONA_PT_worker,
 )

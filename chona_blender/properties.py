@@ -9,6 +9,7 @@ import bpy
 
 from . import model_cache
 
+RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 PRESETS = (
     ("draft", "Draft", "Fastest: for timing and placement"),
     ("preview", "Preview", "Fast: good enough to judge a pose"),
@@ -75,6 +76,7 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         name="Model",
         description="Model file (.safetensors) that a training wrote",
         subtype="FILE_PATH",
+        options=RELATIVE_PATH,
         update=_model_changed,
     )
     person: bpy.props.StringProperty(  # type: ignore[valid-type]
@@ -104,6 +106,7 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         name="Output",
         description="Folder for the baked frames; // is the folder of the .blend file",
         subtype="DIR_PATH",
+        options=RELATIVE_PATH,
         default="//chona/",
     )
     preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
@@ -135,10 +138,66 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         default=True,
     )
 
+    capture_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Folder",
+        description="Folder for the capture; several sequences may go into one",
+        subtype="DIR_PATH",
+        options=RELATIVE_PATH,
+        default="//chona_capture/",
+    )
+    capture_armature: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Character",
+        description="The armature of the character to learn; every mesh that it deforms or carries is captured with it",
+        type=bpy.types.Object,
+        poll=_is_armature,
+    )
+    capture_object: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Object",
+        description="The object that the character handles: a mesh, or an empty with meshes under it; none for a "
+        "character alone",
+        type=bpy.types.Object,
+    )
+    capture_person: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Person",
+        description="Name that the character gets in the model; empty takes the armature's",
+    )
+    capture_sequence: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Sequence",
+        description="Name of this performance in the capture; empty takes the names of character and object",
+    )
+    capture_cameras: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Cameras",
+        description="Number of cameras in a ring around the performance",
+        default=8,
+        min=1,
+        soft_max=32,
+    )
+    capture_width: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Width",
+        description="Width of the captured images",
+        default=512,
+        min=16,
+        subtype="PIXEL",
+    )
+    capture_height: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Height",
+        description="Height of the captured images",
+        default=384,
+        min=16,
+        subtype="PIXEL",
+    )
+    capture_samples: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Samples",
+        description="Cycles samples a pixel of the colour images",
+        default=32,
+        min=1,
+    )
+
     data_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Data",
         description="Folder with the captures to learn from",
         subtype="DIR_PATH",
+        options=RELATIVE_PATH,
     )
     data_format: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Format",
@@ -154,6 +213,7 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         name="Result",
         description="Folder for the model, its log and its checkpoints",
         subtype="DIR_PATH",
+        options=RELATIVE_PATH,
         default="//chona_model/",
     )
     train_preset: bpy.props.EnumProperty(  # type: ignore[valid-type]

@@ -10,7 +10,7 @@ import bpy
 
 from . import commands, model_cache, panels, preferences, properties, worker
 from .jobs import board, remember_error
-from .operators import bake, composite, diagnose, rig, train
+from .operators import bake, capture, composite, diagnose, rig, train
 
 CLASSES: tuple[type, ...] = (
     properties.CHONA_PG_object,
@@ -19,6 +19,7 @@ CLASSES: tuple[type, ...] = (
     *rig.CLASSES,
     *bake.CLASSES,
     *composite.CLASSES,
+    *capture.CLASSES,
     *train.CLASSES,
     *diagnose.CLASSES,
     *panels.CLASSES,
@@ -49,7 +50,7 @@ _done: list[Step] = []
 
 
 def _at_exit() -> None:
-    """End workers when Python ends. The bpy module of 4.5 crashes or hangs on classes with callbacks: take them back."""
+    """End workers. The bpy module of 4.5 crashes or hangs at exit on classes with callbacks, so they are taken back."""
     worker.close_all()
     if getattr(bpy.app, "module", False):
         unregister()

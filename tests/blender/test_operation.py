@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -95,3 +96,14 @@ def test_wrong_input_has_a_message_and_exit_code_2(python: str, tmp_path: Path) 
         assert len(each["said"]) == 1, f"{case}: {each}"
         assert EXPECTED_WORDS[case] in each["said"][0], f"{case}: {each}"
     assert os.sep in answer["not writable"]["said"][0]
+
+
+@every_blender
+def test_capture_command_writes_a_finished_capture(python: str, tmp_path: Path) -> None:
+    answer = run_bpy(python, "operation_capture.py", tmp_path / "capture")
+    assert answer["codes"] == [0, 0, 2], answer
+    assert answer["events"] >= 4 and "captured 0 frames, 2 were there" in answer["words"]
+    description = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    assert list(description["persons"]) == ["Robin"] and list(description["objects"]) == ["crate"]
+    frames = tmp_path / "capture" / "sequences" / "Robin_crate"
+    assert len(list(frames.glob("000*/*.color.png"))) == 4
