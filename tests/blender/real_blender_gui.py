@@ -19,7 +19,7 @@ import bpy
 
 package, model, python, out = (Path(part) for part in sys.argv[sys.argv.index("--") + 1 :][:4])
 answer: dict = {"version": list(bpy.app.version), "steps": []}
-CLOSED_HEADERS = (268, 240)  # of Worker and Train in a window of 1280 x 860, below Model
+CLOSED_HEADERS = {"worker": 296, "train": 268, "capture": 240}  # below Model, in a window of 1280 x 860
 SLOW_WORKER = """
 import json, sys, time
 def say(**event): print(json.dumps(event), flush=True)
@@ -119,8 +119,17 @@ def story() -> Iterator[float]:
     yield from redraw()
     picture("05_cancelled")
 
-    yield from show_closed_panels()
+    show_only_closed_panels()
+    yield from redraw()
+    yield from open_panel("worker")
+    yield from open_panel("train")
     picture("06_train_and_worker")
+    yield from open_panel("capture")
+    picture("07_capture")
+    answer["capture"] = list(start_capture())
+    yield from until_idle(120.0)
+    answer["captured"] = [module("jobs").board.last.status, module("jobs").board.last.report]
+    answer["data folder"] = scene.chona.data_folder
 
 
 def redraw(times: int = 4) -> Iterator[float]:
@@ -139,15 +148,30 @@ def look_at_rig() -> None:
     space.region_3d.view_distance = 5.0
 
 
-def show_closed_panels() -> Iterator[float]:
-    """Open the panels that begin closed by clicks on their headers, the lower one first; take the others away."""
+def start_capture() -> set[str]:
+    """A cube on the armature as character, no object; two tiny pictures."""
+    settings = bpy.context.scene.chona
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.0, 0.0, 1.0))
+    bpy.context.object.parent = settings.armature
+    settings.capture_armature = settings.armature
+    settings.capture_folder = str(out / "capture")
+    settings.capture_cameras, settings.capture_samples = 2, 1
+    settings.capture_width, settings.capture_height = 32, 24
+    settings.use_scene_range, settings.frame_start, settings.frame_end = False, 1, 1
+    return call("capture", "INVOKE_DEFAULT")
+
+
+def show_only_closed_panels() -> None:
+    """Take away the panels that begin open, to have room for the others."""
     for cls in module("panels").CLASSES:
         if cls.__name__ in {"CHONA_PT_rig", "CHONA_PT_bake", "CHONA_PT_composite"}:
             bpy.utils.unregister_class(cls)
+
+
+def open_panel(name: str) -> Iterator[float]:
+    """A click on a panel's header; lower ones first, because what is below moves."""
+    subprocess.run(["xdotool", "mousemove", "810", str(CLOSED_HEADERS[name]), "click", "1"], check=True)
     yield from redraw()
-    for height in CLOSED_HEADERS:
-        subprocess.run(["xdotool", "mousemove", "810", str(height), "click", "1"], check=True)
-        yield from redraw()
 
 
 def attempt(operator: str, *arguments: str) -> str:

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
     """Where pictures go, with the zip and a model in it."""
     target = Path(os.environ.get("CHONA_PICTURES", tmp_path))
     target.mkdir(parents=True, exist_ok=True)
-    for name in ("resources", "frames"):
+    for name in ("resources", "frames", "capture"):
         shutil.rmtree(target / name, ignore_errors=True)
     build = [sys.executable, ROOT / "scripts" / "build_extension.py", "--out", target]
     subprocess.run(build, check=True, capture_output=True)
@@ -66,7 +66,10 @@ def test_sidebar_with_a_window(launcher: list[str], folder: Path) -> None:
     assert answer["worker"].startswith("Python 3")
     assert answer["bake"] == ["RUNNING_MODAL"] and "of 50" in answer["while running"]
     assert answer["after escape"] == "CANCELLED"
-    assert len(answer["steps"]) == 6 and all((folder / f"{name}.png").is_file() for name in answer["steps"])
+    assert len(answer["steps"]) == 7 and all((folder / f"{name}.png").is_file() for name in answer["steps"])
+    assert answer["capture"] == ["RUNNING_MODAL"]
+    assert answer["captured"][0] == "DONE", answer["captured"][1]
+    assert (folder / "capture" / "capture.json").is_file() and answer["data folder"] == str(folder / "capture")
     if "--gui" not in launcher:
         return
     # The same home without a window: the command is known, and its exit code is what a farm sees.
