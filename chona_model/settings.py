@@ -47,3 +47,52 @@ class ExactSettings:
     covariance: str = "warped"
     offset: bool = True
     shading: bool = True
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """One point on the curve between speed and accuracy.
+
+    Attributes:
+        preset: the name it goes by.
+        step: distance between samples, metres (models on grids).
+        newton_steps: Newton steps at most in the voxel volume.
+        stop: transmittance behind which nothing is evaluated; 0 evaluates everything.
+        trust: share of cached densities that counts when deciding what is hidden.
+        supersampling: rays a pixel along each axis.
+        occupancy: whether empty cells of the occupancy grids are skipped.
+        offset, shading: whether F_Δ and the ambient occlusion are applied.
+        half_mlps: whether the small MLPs compute in bfloat16.
+        resolution: share of the image's width and height that is rendered; the rest is interpolated.
+        exact: settings of models that follow the paper's path.
+    """
+
+    preset: str
+    step: float
+    newton_steps: int
+    stop: float
+    trust: float = 0.5
+    supersampling: int = 1
+    occupancy: bool = True
+    offset: bool = True
+    shading: bool = True
+    half_mlps: bool = True
+    resolution: float = 1.0
+    exact: ExactSettings = ExactSettings()
+
+
+RENDER_PRESETS = {
+    "draft": RenderSettings(
+        "draft", step=0.016, newton_steps=2, stop=0.05, trust=0.8, offset=False, resolution=0.5,
+        exact=ExactSettings(samples=24, inverse=InverseSettings(starts=1, steps=8, tolerance=1e-4)),
+    ),
+    "preview": RenderSettings(
+        "preview", step=0.012, newton_steps=3, stop=0.02, trust=0.8,
+        exact=ExactSettings(samples=32, inverse=InverseSettings(starts=2, steps=12, tolerance=1e-4)),
+    ),
+    "final": RenderSettings("final", step=0.008, newton_steps=4, stop=0.003, supersampling=2),
+    "exact": RenderSettings(
+        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False, half_mlps=False
+    ),
+}  # fmt: skip
+"""Presets by name, in order of quality."""
