@@ -13,6 +13,7 @@ from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid, SkinningVolume, initial_weights, make_node_grid
 from chona_model.field.grid import GridField, GridShape
 from chona_model.figure import Figure, Rig, make_figure, pose_code_size, pose_codes
+from chona_model.kernels.cpu import skinning
 from chona_model.kernels.warp import VolumeIndex
 from chona_model.render.occupancy import Occupancy, make_occupancy
 from chona_model.render.posed import PosedPart, pose_cells, slot_matrices
@@ -63,6 +64,7 @@ class GridModel(nn.Module):
         skeleton: of all persons; persons, objects: identities by name, in the order of their indices.
         object_distance: canonical distance of objects, metres.
         shape: sizes.
+        grids, boxes: skinning nodes of the persons and boxes of the parts, where they come from a file.
     """
 
     def __init__(
@@ -72,23 +74,27 @@ class GridModel(nn.Module):
         objects: Mapping[str, ObjectShape],
         object_distance: float,
         shape: GridModelShape,
+        grids: Sequence[NodeGrid] | None = None,
+        boxes: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         super().__init__()
         self.skeleton, self.shape, self.object_distance = skeleton, shape, object_distance
         self.persons, self.objects = tuple(persons.values()), tuple(objects.values())
-        lower, upper = self._boxes()
+        self.boxes = boxes if boxes is not None else self._boxes()
+        lower, upper = self.boxes
         slots = shape.object_slots
         self.code_size = pose_code_size(len(skeleton), slots)
         self.field = GridField(shape.field, lower, upper, len(self.persons), self.code_size)
         self.occupancy: Occupancy = make_occupancy(lower, upper, shape.occupancy_cell)
-        volumes, self._weights = [], []
+        volumes = []
         for index, person in enumerate(self.persons):
             tails = skeleton.bone_tails(person.rest_joints)
-            grid = make_node_grid(
+            grid = grids[index] if grids is not None else make_node_grid(
                 lower[index], upper[index], shape.node_cell, person.rest_joints, tails, shape.node_reach, person.surface
             )
             volume = SkinningVolume(grid, len(skeleton), self.code_size, shape.offset_rank)
-            volume.initialise(initial_weights(grid.points, person.rest_joints, tails, person.surface))
+            if grids is None:
+                volume.initialise(initial_weights(grid.points, person.rest_joints, tails, person.surface))
             volumes.append(volume)
         self.volumes = nn.ModuleList(volumes)
 
@@ -173,34 +179,27 @@ class GridModel(nn.Module):
             inverse_cell=1.0 / self.shape.node_cell,
         )
 
-    def occupied_cells(self, pose: PosedFigure) -> PosedPart:
-        """Posed start grid and bounding points of one pose, from the occupancy as it is now."""
+    def occupied_cells(self, pose: PosedFigure, occupancy: Occupancy) -> PosedPart:
+        """Posed start grid and bounding points of one pose, from an occupancy as it is now."""
         body = None
         if pose.person >= 0:
-            cells = self.occupancy.occupied(pose.person)
-            body = self.warp_points(pose, self.occupancy.centres(pose.person, cells))
+            body = self.warp_points(pose, occupancy.centres(pose.person, occupancy.occupied(pose.person)))
         objects = [
             (len(self.persons) + index, pose.slots[slot].astype(np.float64)) for slot, index in enumerate(pose.objects)
         ]
-        return pose_cells(self.occupancy, pose.person if pose.person >= 0 else None, objects, body)
+        return pose_cells(occupancy, pose.person if pose.person >= 0 else None, objects, body)
 
     def warp_points(self, pose: PosedFigure, points: np.ndarray) -> np.ndarray:
-        """Forward skinning of canonical points [K, 3] of the pose's person into root space, float64."""
+        """Forward skinning of canonical points [K, 3] of the pose's person into root space, float32."""
         with torch.no_grad():
             matrices, _ = self.matrices([pose])
         grid = self.grid(pose.person)
-        place = np.clip((points - grid.origin) / grid.cell, 0.0, grid.dims - 1 - 1e-3)
-        base = place.astype(np.int64)
-        share = place - base
-        rows = matrices.numpy()
-        blended = np.zeros((len(points), 12))
-        for corner in range(8):
-            step = np.array([corner & 1, (corner >> 1) & 1, corner >> 2])
-            weight = np.where(step, share, 1.0 - share).prod(axis=1)
-            x, y, z = (base + step).T
-            blended += weight[:, None] * rows[grid.nodes[x + grid.dims[0] * (y + grid.dims[1] * z)]]
-        blended = blended.reshape(-1, 3, 4)
-        return np.einsum("kij,kj->ki", blended[..., :3], points) + blended[..., 3]
+        out = np.empty((len(points), 3), dtype=np.float32)
+        skinning.forward(
+            np.ascontiguousarray(points, dtype=np.float32), matrices.numpy(), grid.nodes, grid.dims,
+            grid.origin.astype(np.float32), np.float32(1.0 / grid.cell), out,
+        )  # fmt: skip
+        return out
 
 
 def _index(kind: str, name: str, names: list[str]) -> int:

@@ -11,13 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import relu, softplus
+from torch.nn.functional import linear, relu, softplus
 
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
 
 
 SHADE_BIAS = 2.0
 """Ambient occlusion starts at sigmoid(2) = 0.88: nearly open, with a gradient both ways."""
+
+
+EMPTY_BIAS = -3.0
+"""Initial raw density: 100 · softplus(−4) = 1.8 / m, so that a body's depth starts half transparent."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class GridField(nn.Module):
         super().__init__()
         self.shape = shape
         self.persons = persons
+        self.mlp_dtype = torch.float32
         parts = len(lower)
         self.register_buffer("lower", torch.as_tensor(lower, dtype=torch.float32))
         self.layout: GridLayout = make_layout(
@@ -76,6 +81,9 @@ class GridField(nn.Module):
         self.pose_in = nn.Linear(pose_code, shape.pose)
         self.shade_in = nn.Linear(shape.features + shape.pose, 32)
         self.shade_out = nn.Linear(32, 1)
+        with torch.no_grad():
+            # Nearly transparent at first: an opaque hull would only ever be carved from outside.
+            self.density_out.bias[0] = EMPTY_BIAS
 
     def codes(self, pairs: Tensor) -> Tensor:
         """[Q, 2 · code] of identity pairs [Q, 2] (person, object); −1 gives a zero code."""
@@ -101,19 +109,19 @@ class GridField(nn.Module):
         gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
         encoded = encode(local, part, self.table, self.layout, gradient)
         codes = self.codes(pairs)
-        hidden = self.density_in(encoded)
-        hidden = hidden + self._gather(self.density_code(codes), pair)
-        raw = self.density_out(relu(hidden))
-        density = self.shape.density_scale * softplus(raw[:, 0] - 1.0)
-        features = raw[:, 1:]
-        hidden = self.colour_in(torch.cat([encoded, features], dim=1))
-        hidden = hidden + self._gather(self.colour_code(codes), pair)
-        rgb = torch.sigmoid(self.colour_out(relu(hidden)))
+        dtype = self.mlp_dtype
+        hidden = self._linear(encoded.to(dtype), self.density_in, self.density_code(codes), pair)
+        raw = self._linear(relu(hidden), self.density_out)
+        density = self.shape.density_scale * softplus(raw[:, 0].float() - 1.0)
+        hidden = self._linear(torch.cat([encoded.to(dtype), raw[:, 1:]], dim=1), self.colour_in, self.colour_code(codes), pair)
+        rgb = torch.sigmoid(self._linear(relu(hidden), self.colour_out).float())
         if pose_codes is not None:
-            conditioned = self.shade_in.weight[:, self.shape.features :] @ torch.tanh(self.pose_in(pose_codes)).T
-            shade = features @ self.shade_in.weight[:, : self.shape.features].T + self.shade_in.bias
-            shade = self.shade_out(relu(shade + self._gather(conditioned.T, pose)))
-            rgb = rgb * torch.sigmoid(shade + SHADE_BIAS)
+            features = self.shape.features
+            weight = self.shade_in.weight.to(dtype)
+            conditioned = torch.tanh(self.pose_in(pose_codes)) @ self.shade_in.weight[:, features:].T
+            shade = linear(raw[:, 1:], weight[:, :features], self.shade_in.bias.to(dtype))
+            shade = relu(shade + self._gather(conditioned.to(dtype), pose))
+            rgb = rgb * torch.sigmoid(self._linear(shade, self.shade_out).float() + SHADE_BIAS)
         return density, rgb
 
     def density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
@@ -124,6 +132,16 @@ class GridField(nn.Module):
             hidden = self.density_in(encoded) + self._gather(self.density_code(self.codes(pairs)), pair)
             raw = relu(hidden) @ self.density_out.weight[0] + self.density_out.bias[0]
             return self.shape.density_scale * softplus(raw - 1.0)
+
+    def _linear(self, x: Tensor, layer: nn.Linear, extra: Tensor | None = None, index: Tensor | None = None) -> Tensor:
+        """A layer in the MLPs' precision; ``extra`` rows are added to its bias by ``index``."""
+        dtype = x.dtype
+        weight, bias = layer.weight.to(dtype), layer.bias
+        if extra is None or index is None:
+            return linear(x, weight, bias.to(dtype))
+        if len(extra) == 1:
+            return linear(x, weight, (bias + extra[0]).to(dtype))
+        return linear(x, weight) + (bias + extra).to(dtype)[index]
 
     @staticmethod
     def _gather(rows: Tensor, index: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ class Occupancy:
         origins: [I, 3] float32 lower corners in each part's frame; dims: [I, 3] int64 cells (x fastest).
         first: [I + 1] int64 begin of each part's cells.
         densities: [cells] float32, 1/m; 0 = empty.
+        support: [cells] bool, the visual hull: outside it the field was never trained.
     """
 
     cell: float
@@ -27,6 +28,7 @@ class Occupancy:
     dims: np.ndarray
     first: np.ndarray
     densities: np.ndarray
+    support: np.ndarray
 
     def centres(self, part: int, cells: np.ndarray) -> np.ndarray:
         """[K, 3] float32 centres of a part's cells, given by index within the part."""
@@ -47,4 +49,20 @@ def make_occupancy(lower: np.ndarray, upper: np.ndarray, cell: float) -> Occupan
     """Empty grids over boxes ``lower``, ``upper`` [I, 3], metres."""
     dims = np.maximum(np.ceil((upper - lower) / cell).astype(np.int64), 1)
     first = np.concatenate([[0], np.cumsum(dims.prod(axis=1))])
-    return Occupancy(cell, lower.astype(np.float32), dims, first, np.zeros(first[-1], dtype=np.float32))
+    return Occupancy(cell, lower.astype(np.float32), dims, first, np.zeros(first[-1], dtype=np.float32), np.zeros(first[-1], dtype=bool))
+
+
+UNKNOWN_DENSITY = 0.5
+"""Cached density of cells nothing is known of yet, 1/m: worth sampling, hides nothing."""
+
+CULL_DENSITY = 2.5
+"""Cells whose density stays below this are empty: 1 cm of it hides 2.5 % of what is behind, 1/m."""
+
+FADE = 0.7
+"""What is left of a cell's cached density at every update, unless the field renews it."""
+
+
+def whole_support(occupancy: Occupancy) -> Occupancy:
+    """The same grids with every cell of the hull sampled and none believed opaque: nothing is skipped by density."""
+    densities = np.where(occupancy.support, np.float32(UNKNOWN_DENSITY), np.float32(0.0))
+    return Occupancy(occupancy.cell, occupancy.origins, occupancy.dims, occupancy.first, densities, occupancy.support)

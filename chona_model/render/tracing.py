@@ -13,6 +13,7 @@ from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu import march as kernel
 from chona_model.kernels.volume import integrate
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex, invert
+from chona_model.render.occupancy import Occupancy
 from chona_model.render.posed import POSED_CELL, PosedPart
 
 
@@ -41,6 +42,7 @@ class TraceSettings:
 class PoseTable:
     """Poses concatenated for the marching kernel; rays name them by index."""
 
+    occupancy: Occupancy
     poses: tuple[PosedFigure, ...]
     parts: tuple[PosedPart, ...]
     starts: np.ndarray
@@ -52,9 +54,12 @@ class PoseTable:
     slot_matrix: np.ndarray
 
 
-def make_pose_table(model: GridModel, poses: Sequence[PosedFigure]) -> PoseTable:
-    """Builds posed start grids from the model's present occupancy."""
-    parts = [model.occupied_cells(pose) for pose in poses]
+def make_pose_table(
+    model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None
+) -> PoseTable:
+    """Builds posed start grids from an occupancy as it is now; the model's own where none is given."""
+    occupancy = occupancy or model.occupancy
+    parts = [model.occupied_cells(pose, occupancy) for pose in poses]
     voxels = np.concatenate([[0], np.cumsum([len(part.centres) for part in parts])])
     starts = np.concatenate(
         [np.where(part.starts >= 0, part.starts + voxels[index], -1) for index, part in enumerate(parts)]
@@ -64,7 +69,7 @@ def make_pose_table(model: GridModel, poses: Sequence[PosedFigure]) -> PoseTable
         for slot, thing in enumerate(pose.objects):
             slot_part[index, slot] = len(model.persons) + thing
     return PoseTable(
-        tuple(poses), tuple(parts), starts.astype(np.int32),
+        occupancy, tuple(poses), tuple(parts), starts.astype(np.int32),
         np.concatenate([[0], np.cumsum([len(part.starts) for part in parts])]),
         np.stack([part.dims for part in parts]),
         np.stack([part.origin for part in parts]).astype(np.float32),
@@ -109,7 +114,7 @@ def trace(
         codes: [P, C] pose codes by local pose, or None.
     """
     origins, directions, near, far = rays
-    occupancy = model.occupancy
+    occupancy = table.occupancy
     cells = (occupancy.densities, occupancy.first[:-1], occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell))
     grids = (table.starts, table.first[:-1], table.dims, table.origins, np.float32(1 / POSED_CELL))
     first = np.zeros(len(origins) + 1, dtype=np.int64)
@@ -160,10 +165,9 @@ def trace(
         local, torch.from_numpy(part[chosen]), pairs, ray_pair[ray_index], codes,
         torch.from_numpy(local_pose[pose[ray_kept]]).long(),
     )  # fmt: skip
-    lengths = np.linalg.norm(directions, axis=1) * 0 + settings.step
     out, weights = integrate(
         density, rgb, torch.from_numpy(kept_first), torch.from_numpy(depth[chosen]),
-        torch.from_numpy(lengths[ray_kept].astype(np.float32)), torch.from_numpy(kind[chosen] >= 0), settings.stop * 0.1,
+        torch.full((len(chosen),), settings.step), torch.from_numpy(kind[chosen] >= 0), settings.stop * 0.1,
     )  # fmt: skip
     tried = np.bincount(ray[body], minlength=len(origins))
     missed = np.bincount(ray[body], weights=failed[body], minlength=len(origins))

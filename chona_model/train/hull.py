@@ -12,6 +12,7 @@ from chona_model.data.dataset import Pixels, View
 from chona_model.deform.voxels import distance_to_bones
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu.march import carve
+from chona_model.render.occupancy import UNKNOWN_DENSITY
 from chona_model.render.posed import camera_matrix
 
 MASK_MARGIN = 2
@@ -22,9 +23,6 @@ INSIDE_SHARE = 0.95
 
 OWN_SHARE = 0.05
 """… and inside its own part's mask in this share: a cell that is always seen as the object is not the person's."""
-
-UNKNOWN_DENSITY = 0.5
-"""Cached density of cells nothing is known of yet, 1/m: worth sampling, hides nothing."""
 
 BODY_REACH = 0.10
 """Cells farther from the body model's surface than this are empty (clothes, hair and shoes fit), metres."""
@@ -62,6 +60,7 @@ def carve_hull(
         kept = (seen > 0) & (inside >= INSIDE_SHARE * seen) & (own >= OWN_SHARE * seen)
         occupancy.part(part)[:] = 0.0
         occupancy.part(part)[cells[kept]] = UNKNOWN_DENSITY
+    occupancy.support[:] = occupancy.densities > 0
 
 
 def _near_body(model: GridModel, person: int, centres: np.ndarray) -> np.ndarray:

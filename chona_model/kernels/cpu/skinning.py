@@ -151,3 +151,14 @@ def invert_backward(
             row[9] += w2 * y
             row[10] += w2 * z
             row[11] += w2
+
+
+@njit(parallel=True, fastmath=True, cache=True)
+def forward(points, matrices, nodes, dims, origin, inverse_cell, out):
+    """Forward skinning f(x) of one pose: points [M, 3] canonical to ``out`` [M, 3] root space, metres."""
+    for m in prange(len(points)):
+        result = warp(
+            points[m, 0], points[m, 1], points[m, 2], matrices, nodes, 0, dims[0], dims[1], dims[2], 0,
+            origin[0], origin[1], origin[2], inverse_cell,
+        )  # fmt: skip
+        out[m, 0], out[m, 1], out[m, 2] = result[0], result[1], result[2]
