@@ -65,7 +65,10 @@ def add_layer(scene: bpy.types.Scene, folder: Path, name: str) -> CompositeResul
         )
 
     tree = _tree(scene)
-    group = _find_group(tree, name) or build_layer_group(layer_group_name(name))
+    group = _find_group(tree, name)
+    if group is None:
+        _free_orphans(name)
+        group = build_layer_group(layer_group_name(name))
     set_sequence(group, frames, header.layers[0])
     group[MARK] = name
     if _group_node(tree, group) is None:
@@ -78,7 +81,10 @@ def remove_layer(scene: bpy.types.Scene, name: str) -> bool:
     tree = current_tree(scene)
     group = None if tree is None else _find_group(tree, name)
     if tree is None or group is None:
-        return False
+        left_over = has_layers(scene) and not layer_names(scene)  # the user has deleted the node by hand
+        if left_over:
+            _restore(scene)
+        return left_over
     node = _group_node(tree, group)
     if node is not None:
         _bypass(tree, node)
@@ -280,6 +286,13 @@ def _group_node(tree: bpy.types.NodeTree, group: bpy.types.NodeTree) -> bpy.type
     return next(
         (node for node in tree.nodes if node.bl_idname == "CompositorNodeGroup" and node.node_tree == group), None
     )
+
+
+def _free_orphans(name: str) -> None:
+    """Groups of this bake whose node the user has deleted by hand: nothing shows them any more."""
+    for group in list(bpy.data.node_groups):
+        if group.users == 0 and group.get(MARK) == name:
+            _free(group)
 
 
 def _free(group: bpy.types.NodeTree) -> None:

@@ -34,11 +34,11 @@ def row_alpha() -> np.ndarray:
     return alpha
 
 
-def write_frame(path: Path, number: int) -> None:
+def write_frame(path: Path, number: int, distance: float = LAYER_DEPTH) -> None:
     """One frame as docs/file-formats.md has it."""
     alpha = np.repeat(row_alpha()[:, None], WIDTH, axis=1)
     colour = np.concatenate([alpha[..., None] * layer_colour(number), alpha[..., None]], axis=-1)
-    depth = np.where(alpha > 0, LAYER_DEPTH, EMPTY).astype(np.float32)
+    depth = np.where(alpha > 0, distance, EMPTY).astype(np.float32)
     channels = {"CHONA.Combined": colour.astype(np.float16), "CHONA.Depth.Z": depth}
     for name in ("Human", "Object", "Confidence"):
         channels[f"CHONA.{name}.V"] = alpha.astype(np.float16)
@@ -78,6 +78,7 @@ def rendered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         write_frame(frames / f"walk_{number:04d}.exr", number)
     for number in (0, 1, 2):
         write_frame(frames / f"zero_{number:04d}.exr", number)
+    write_frame(frames / "near_0007.exr", 14, distance=4.0)
     write_frame(frames / "old_-0003.exr", 3)
     return out, run_bpy(request.param, "operation_composite.py", frames, out)
 
@@ -107,6 +108,21 @@ def test_animation_from_frame_zero_shows_each_file_in_its_frame(rendered: tuple[
     for number in (0, 1, 2):
         np.testing.assert_allclose(read(out / f"zero_{number:04d}.exr")[0, 0, :3], layer_colour(number), atol=2e-3)
     np.testing.assert_allclose(read(out / "zero_0003.exr")[0, 0, :3], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["walk_near", "near_walk"])
+def test_layers_stack_by_depth(rendered: tuple[Path, dict], order: str) -> None:
+    """The nearer of two opaque layers is seen whichever was added first."""
+    out, _ = rendered
+    picture = read(out / f"{order}.exr")
+    np.testing.assert_allclose(picture[:6, :, :3], np.broadcast_to(layer_colour(14), (6, WIDTH, 3)), atol=2e-3)
+    np.testing.assert_allclose(picture[11:, :, :3], np.broadcast_to(BEHIND, (5, WIDTH, 3)), atol=2e-3)
+
+
+def test_nodes_deleted_by_hand(rendered: tuple[Path, dict]) -> None:
+    _, answer = rendered
+    assert "CHONA walk" in answer["groups after deletion"] and "CHONA walk.001" not in answer["groups after deletion"]
+    assert answer["removed after deletion"] == [True, False]
 
 
 def test_messages(rendered: tuple[Path, dict]) -> None:

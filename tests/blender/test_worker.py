@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
+from pathlib import Path
 
 import pytest
-from operation_helpers import ROOT, bpy_pythons, run_bpy
+from operation_helpers import ROOT, bpy_pythons, run_bpy, write_header_only_model
 
 pytestmark = pytest.mark.bpy
 
@@ -70,3 +72,16 @@ def test_check_says_what_is_wrong(answer: dict) -> None:
 def test_the_named_python_is_taken(answer: dict) -> None:
     assert answer["found"] == sys.executable
     assert answer["variable"][0] == sys.executable
+
+
+@pytest.mark.parametrize("python", bpy_pythons())
+def test_the_real_worker_refuses_a_model_without_tensors(python: str, tmp_path: Path) -> None:
+    """Add-on, shot, `chona bake` and back: the worker's own words and exit code arrive."""
+    if importlib.util.find_spec("chona_model.__main__") is None:
+        pytest.skip("chona_model has no command line yet")
+    model = write_header_only_model(tmp_path / "model.safetensors")
+    answer = run_bpy(python, "operation_chona.py", model, sys.executable, tmp_path / "out")
+    assert answer["code"] == 2, answer
+    assert "Traceback" not in answer["words"], answer
+    assert "model.safetensors" in answer["words"] or "tensor" in answer["words"], answer
+    assert (tmp_path / "out" / "shot.shot.npz").is_file()

@@ -43,6 +43,21 @@ for name, folder, percentage in wrong:
         answer["errors"][f"{name} {percentage} {folder.name}"] = str(error)
 answer["size"] = [WIDTH, HEIGHT]
 
+# Two layers, the nearer one added first and added last; then the node of one is deleted by hand, as users do.
+for order in (("walk", "near"), ("near", "walk")):
+    scene = empty_scene()
+    emission_plane("behind", (4.0, 2.0), (0.0, 0.0, 2.0), (0.1, 0.7, 0.1))
+    for name in order:
+        compositing.add_layer(scene, frames, name)
+    render(scene, out / f"{'_'.join(order)}.exr", 7)
+tree = compositing.current_tree(scene)
+tree.nodes.remove(next(node for node in tree.nodes if node.label == "CHONA near"))
+tree.nodes.remove(next(node for node in tree.nodes if node.label == "CHONA walk"))
+compositing.add_layer(scene, frames, "walk")
+answer["groups after deletion"] = [group.name for group in bpy.data.node_groups if group.users]
+tree.nodes.remove(next(node for node in tree.nodes if node.label == "CHONA walk"))
+answer["removed after deletion"] = [compositing.remove_layer(scene, "walk"), compositing.has_layers(scene)]
+
 # A whole animation with frame numbers from 0: is each file shown in its own frame?
 scene = empty_scene()
 scene.frame_start, scene.frame_end = 0, 3
