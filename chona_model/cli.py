@@ -254,7 +254,7 @@ def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def _finish(progress: Progress, words: str, **fields: Any) -> int:
     """Ends a long command as the job left it: the job may have reported its end itself."""
-    if progress.ended is None and progress.stopping:
+    if progress.ended is None and progress.cancelled_by_user:
         progress.cancelled(**fields)
     if progress.ended is None:
         progress.result(**fields)

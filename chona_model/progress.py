@@ -1,8 +1,8 @@
 """How long jobs report: a bar on a terminal, or JSON lines on stdout for a program that watches.
 
-A job calls ``start``, then ``update`` after every step, looks at ``stopping`` between steps, and ends with ``result``
-or ``cancelled``.  Whoever started the job reports an ``error``.  ``Cancel`` turns SIGINT and SIGTERM into a flag, so
-that a job ends after the step it is in, with its files whole.
+A job calls ``start``, then ``update`` after every step, looks at ``cancelled_by_user`` between steps, and ends with
+``result`` or ``cancelled``.  Whoever started the job reports an ``error``.  ``Cancel`` turns SIGINT and SIGTERM into a
+flag, so that a job ends after the step it is in, with its files whole.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Progress:
     Args:
         mode: ``terminal`` draws a bar on stderr where that is a terminal and is quiet elsewhere; ``json`` writes the
             events of ``docs/file-formats.md`` on stdout, one a line, each flushed.
-        cancel: the flag that ``stopping`` shows.
+        cancel: the flag that ``cancelled_by_user`` shows.
         output: where JSON lines go; stdout as it is now when None.
         errors: where bars and messages go; stderr when None.
         clock: seconds that only grow.
@@ -98,7 +98,7 @@ class Progress:
         self._output = sys.stdout if output is None else output
         self._errors = sys.stderr if errors is None else errors
         self._clock = clock
-        self._total = 0.0
+        self._total: float | None = 0.0
         self._first = 0.0
         self._started = clock()
         self._written = -math.inf
@@ -106,17 +106,20 @@ class Progress:
         self._bar: Any = None
 
     @property
-    def stopping(self) -> bool:
+    def cancelled_by_user(self) -> bool:
         """Whether the job was asked to end; look at it after every step and frame."""
         return self.cancel.requested
 
     def check(self) -> None:
         """Raises ``Cancelled`` when the job was asked to end: for places with nothing to put away."""
-        if self.stopping:
+        if self.cancelled_by_user:
             raise Cancelled
 
-    def start(self, job: str, total: float, done: float = 0.0, unit: str = "") -> None:
-        """Begins the job; ``total`` in the unit of ``update``'s ``done``, which starts at ``done`` when resumed."""
+    def start(self, job: str, total: float | None, done: float = 0.0, unit: str = "") -> None:
+        """Begins the job; ``total`` in the unit of ``update``'s ``done``, which starts at ``done`` when resumed.
+
+        A ``total`` of None stands for a job whose length is not known; it has no ``eta``.
+        """
         self.job, self.ended, self._held = job, None, None
         self._total, self._first = total, done
         self._started, self._written = self._clock(), -math.inf
@@ -141,12 +144,13 @@ class Progress:
             return
         now = self._clock()
         seconds = now - self._started
-        advanced, left = done - self._first, max(self._total - done, 0.0)
-        eta = round(seconds / advanced * left, 1) if advanced > 0 else None
+        advanced = done - self._first
+        left = None if self._total is None else max(self._total - done, 0.0)
+        eta = round(seconds / advanced * left, 1) if advanced > 0 and left is not None else None
         event = {"event": "progress", "job": self.job, "done": done, "total": self._total,
                  "seconds": round(seconds, 3), "eta": eta}  # fmt: skip
         self._held = event | ({"message": message} if message else {}) | fields
-        if now - self._written >= UPDATE_SECONDS or left <= 0:
+        if now - self._written >= UPDATE_SECONDS or left == 0:
             self._flush(now)
 
     def result(self, **fields: Any) -> None:
