@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chona_model import process
 from chona_model.arguments import (
     Parser,
     SourceAction,
@@ -49,6 +50,7 @@ Command = Callable[[argparse.Namespace, Progress], int]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code."""
+    process.tune()
     words = glue_frames(sys.argv[1:] if argv is None else argv)
     progress = Progress(_mode(words))
     progress.job = words[0] if words and not words[0].startswith("-") else "chona"

@@ -95,6 +95,8 @@ class Shot:
         world_from_camera: [F, 4, 4] rigid, OpenCV axes, metres.
         clip: [F, 2] near and far along the camera axis, metres.
         actors: at least one.
+        world_scale: metres of the scene in one of the shot's; where the scene's figure is scaled, camera and poses are
+            written at the model's own size, and depths are to be multiplied by this.
 
     Raises:
         ShotError: anything of this does not hold; the message names the array, the actor, the bone and the frame.
@@ -110,6 +112,7 @@ class Shot:
     world_from_camera: np.ndarray
     clip: np.ndarray
     actors: tuple[ShotActor, ...]
+    world_scale: float = 1.0
 
     def __post_init__(self) -> None:
         _check_header(self)
@@ -151,6 +154,8 @@ def write_shot(path: Path, shot: Shot) -> None:
         "camera.world_from_camera": shot.world_from_camera,
         "camera.clip": shot.clip,
     }
+    if shot.world_scale != 1.0:
+        arrays["world_scale"] = np.array(shot.world_scale)
     for index, actor in enumerate(shot.actors):
         arrays[f"actor.{index}.world_from_bone"] = actor.world_from_bone
         arrays[f"actor.{index}.world_from_object"] = actor.world_from_object
@@ -195,6 +200,7 @@ def read_shot(path: Path) -> Shot:
             _array(arrays, "camera.world_from_camera"),
             _array(arrays, "camera.clip"),
             actors,
+            _scale(arrays),
         )
     except ShotError as error:
         raise ShotError(f"{path}: {error}") from error
@@ -225,6 +231,15 @@ def _array(arrays: Mapping[str, np.ndarray], name: str, kinds: str = "f") -> np.
     if array.dtype.kind not in kinds:
         raise ShotError(f"'{name}' has the type {array.dtype}, expected {'float64' if kinds == 'f' else 'int64'}")
     return array.astype(np.float64 if kinds == "f" else np.int64)
+
+
+def _scale(arrays: Mapping[str, np.ndarray]) -> float:
+    if "world_scale" not in arrays:
+        return 1.0
+    scale = _array(arrays, "world_scale")
+    if scale.shape != () or not (np.isfinite(scale) and scale > 0):
+        raise ShotError(f"world_scale is {scale}, expected one positive number: write the shot again")
+    return float(scale)
 
 
 def _check_header(shot: Shot) -> None:

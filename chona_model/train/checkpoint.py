@@ -1,0 +1,51 @@
+"""Checkpoints: tensors in safetensors with the run's position and settings in the metadata."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from chona_model.formats.atomic import atomic_path
+from chona_model.formats.model_file import ModelFileError, read_metadata
+
+NAME = "checkpoint.safetensors"
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be continued."""
+
+
+def save_checkpoint(run: Path, state: dict[str, Tensor], position: dict[str, Any], settings: dict[str, Any]) -> None:
+    """Writes ``RUN/checkpoint.safetensors``, whole or not at all."""
+    with atomic_path(run / NAME) as temporary:
+        save_file(state, temporary, metadata={"position": json.dumps(position), "settings": json.dumps(settings)})
+
+
+def load_checkpoint(run: Path, settings: dict[str, Any]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Reads a checkpoint of the same settings.
+
+    Returns:
+        the trainer's state and the position (``step``, ``seconds``).
+
+    Raises:
+        CheckpointError: none there, damaged, or of another run.
+    """
+    path = run / NAME
+    try:
+        metadata = read_metadata(path)
+        saved = json.loads(metadata["settings"])
+        state, position = load_file(path), json.loads(metadata["position"])
+    except (ModelFileError, SafetensorError, KeyError, ValueError) as error:
+        raise CheckpointError(f"cannot continue from {path}: {error}; train without --resume to start anew") from error
+    differing = sorted(key for key in settings if saved.get(key) != settings[key])
+    if differing:
+        told = "; ".join(f"{key} was {saved.get(key)}, is {settings[key]}" for key in differing)
+        raise CheckpointError(
+            f"{path} belongs to a run with other settings ({told}); give the same ones, or train without --resume"
+        )
+    return state, position

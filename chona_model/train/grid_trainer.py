@@ -1,0 +1,306 @@
+"""Training of grid models (preset ``fast``): the paper's losses, CIL and schedule on the fast path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from chona_model.data.dataset import Dataset, DatasetError
+from chona_model.deform.voxels import bone_nodes
+from chona_model.field.codes import draw_invariant_codes
+from chona_model.field.grid import GridShape
+from chona_model.grid_actor import GridActor
+from chona_model.grid_model import GridModel, GridModelShape
+from chona_model.kernels.cpu.adam import adam_rows
+from chona_model.kernels.grid import FEATURES
+from chona_model.render.occupancy import CULL_DENSITY, FADE
+from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.train.hull import carve_hull
+from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
+
+
+class TrainingError(ValueError):
+    """Training that cannot go on: the message says at which step, why, and what to do."""
+
+
+@dataclass(frozen=True)
+class FastSettings:
+    """Settings of preset ``fast``.
+
+    Attributes:
+        rays, poses: rays a step, spread over this many poses.
+        grid_rate, mlp_rate, skin_rate, offset_rate: Adam's initial rates; all fall to ``last_rate`` times that.
+        weight_loss, offset_loss: the paper's λ and β.
+        skin_from: share of the schedule before which skinning keeps its initial weights; skin_every: steps between
+            gradients through the root finder.
+        random_background: composite prediction and target over one random colour a ray, so that dark clothes are
+            told from an empty background; black otherwise, as in the paper.
+        cull_from, cull_every: first step at which occupancy follows the density, and how often.
+        rebuild: steps after which posed grids and pixel pools are made anew.
+        trace: shortcuts of ray tracing while training.
+        half_mlps: whether the small MLPs compute in bfloat16.
+    """
+
+    rays: int = 4096
+    poses: int = 5
+    grid_rate: float = 1e-2
+    mlp_rate: float = 2e-3
+    skin_rate: float = 1e-3
+    offset_rate: float = 1e-4
+    last_rate: float = 0.03
+    weight_loss: float = 1.0
+    offset_loss: float = 0.1
+    skin_from: float = 0.25
+    skin_every: int = 2
+    random_background: bool = True
+    cull_from: int = 128
+    cull_every: int = 64
+    rebuild: tuple[int, ...] = (256, 512, 1024, 2048, 4096)
+    trace: TraceSettings = TraceSettings(step=0.01, trust=0.8, stop=1e-2)
+    half_mlps: bool = True
+
+
+BETAS = (0.9, 0.99)
+EPSILON = 1e-15
+
+
+class GridTrainer:
+    """Owns a model, its optimisers and the training pixels.
+
+    Args:
+        dataset: what to learn from.
+        settings: how; shape: sizes of the model.
+        seed: of everything random, together with the step.
+        image_scale: size of the images used.
+        method: ``chona``, or ``no-cil`` to leave compositional invariant learning out.
+
+    Raises:
+        DatasetError: no views, or nothing of them inside the masks' visual hull.
+    """
+
+    def __init__(
+        self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0, method: str = "chona",
+        shape: GridModelShape | None = None,
+    ) -> None:  # fmt: skip
+        if not dataset.views:
+            raise DatasetError("there is not one view to train on; check the folder and --sequences with check-data")
+        torch.manual_seed(seed)
+        self.settings, self.seed, self.method = settings, seed, method
+        slots = max((len(view.pose.objects) for view in dataset.views), default=0)
+        shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
+        self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
+        self.model.field.mlp_dtype = torch.bfloat16 if settings.half_mlps else torch.float32
+        self.groups = group_by_pose(dataset, image_scale)
+        self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
+        carve_hull(
+            self.model, self.posed, [list(zip(group.views, group.pixels, strict=True)) for group in self.groups]
+        )
+        empty = [part.name for part, count in self._occupied() if count == 0]
+        if empty:
+            raise DatasetError(
+                f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check cameras, "
+                "poses and masks with 'chona check-data'"
+            )
+        self._rebuild()
+        self._make_optimisers()
+        self.bones = [
+            bone_nodes(self.model.grid(index), dataset.skeleton, person.rest_joints)
+            for index, person in enumerate(self.model.persons)
+        ]
+
+    def _occupied(self) -> list[tuple[object, int]]:
+        identities = [*self.model.persons, *self.model.objects]
+        return [(item, len(self.model.occupancy.occupied(part))) for part, item in enumerate(identities)]
+
+    def _make_optimisers(self) -> None:
+        field, volumes, settings = self.model.field, self.model.volumes, self.settings
+        perceptrons = [value for name, value in field.named_parameters() if name != "table"]
+        logits = [value for name, value in volumes.named_parameters() if name.endswith("logits")]
+        offsets = [value for name, value in volumes.named_parameters() if "offset" in name]
+        groups = [
+            {"params": perceptrons, "lr": settings.mlp_rate},
+            {"params": logits, "lr": settings.skin_rate},
+            {"params": offsets, "lr": settings.offset_rate},
+        ]
+        self.rates = [float(group["lr"]) for group in groups if group["params"]]  # type: ignore[arg-type]
+        self.optimiser = torch.optim.Adam(
+            [group for group in groups if group["params"]], betas=BETAS, eps=EPSILON, fused=True
+        )
+        self.mean, self.square = (np.zeros(field.table.shape, dtype=np.float32) for _ in range(2))
+
+    def _rebuild(self) -> None:
+        self.table = make_pose_table(self.model, self.posed)
+        self.pools = make_pools(self.table, self.groups)
+        self.usable = np.array([index for index, row in enumerate(self.pools) if row])
+
+    def step(self, index: int, share: float) -> dict[str, float]:
+        """One optimisation step.
+
+        Args:
+            index: number of the step, from 0; with the seed it decides everything random.
+            share: how much of the schedule is done, 0…1.
+
+        Returns:
+            ``loss`` and ``psnr`` of the batch.
+
+        Raises:
+            TrainingError: the loss is not finite.
+        """
+        settings = self.settings
+        random = np.random.default_rng([self.seed, index])
+        chosen = random.choice(self.usable, min(settings.poses, len(self.usable)), replace=False)
+        batch = [self._draw(pose, settings.rays // len(chosen), random) for pose in chosen]
+        origins, directions, near, far, rgb, part, pose = (np.concatenate(column) for column in zip(*batch, strict=True))
+        rays = len(origins)
+        skinning = share >= settings.skin_from and index % settings.skin_every == 0
+        figures = [self.posed[pose] for pose in chosen]
+        with torch.set_grad_enabled(skinning):
+            matrices, where = self.model.matrices(figures)
+        local = np.zeros(len(self.posed), dtype=np.int32)
+        local[chosen] = np.arange(len(chosen))
+        pairs, ray_pair = self._identities(pose, part, index)
+        codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
+        traced = trace(
+            self.model, self.table, matrices, where, local, (origins, directions, near, far), pose,
+            random.random(rays, dtype=np.float32), pairs, ray_pair, codes, settings.trace,
+        )  # fmt: skip
+        background = np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
+        target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
+        predicted = traced.out[:, :3] + (1.0 - traced.out[:, 3:4]) * torch.from_numpy(background)
+        image_loss = ((predicted - torch.from_numpy(target)) ** 2).mean()
+        loss = image_loss + self._regularisers(figures) if skinning else image_loss
+        if not torch.isfinite(loss):
+            raise TrainingError(
+                f"the loss of step {index} is {float(loss)}; look for images with values that are not finite, or train "
+                "with a smaller rate; the last checkpoint is intact"
+            )
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self._update(index, share)
+        self._follow_density(index + 1)
+        return {"loss": float(loss.detach()), "psnr": float(-10.0 * torch.log10(image_loss.detach().clamp(min=1e-10)))}
+
+    def _draw(self, pose: int, count: int, random: np.random.Generator) -> tuple[np.ndarray, ...]:
+        """Rays of one pose from one of its views, jittered inside their pixels."""
+        pool: ViewPool = self.pools[pose][random.integers(len(self.pools[pose]))]
+        pick = random.integers(len(pool.rows), size=count)
+        places = np.stack([pool.columns[pick], pool.rows[pick]], axis=-1) + random.random((count, 2))
+        origins, directions = self.posed[pose].figure.rays(pool.camera, places)
+        return (
+            origins.astype(np.float32), directions.astype(np.float32), pool.near[pick], pool.far[pick], pool.rgb[pick],
+            pool.part[pick], np.full(count, pose, dtype=np.int32),
+        )  # fmt: skip
+
+    def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, Tensor]:
+        """Pairs of identities in use and each ray's pair; CIL exchanges the part of the pair that a ray does not show."""
+        persons = torch.tensor([figure.person for figure in self.posed])[torch.from_numpy(pose).long()]
+        things = torch.tensor([figure.objects[0] if figure.objects else -1 for figure in self.posed])
+        objects = things[torch.from_numpy(pose).long()][:, None]
+        n_persons, n_objects = len(self.model.persons), len(self.model.objects)
+        if self.method == "chona" and (n_persons > 1 or n_objects > 1):
+            persons, objects = draw_invariant_codes(
+                persons, objects, torch.from_numpy(part == 1), torch.from_numpy(part == 2),
+                n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index,
+            )  # fmt: skip
+        pairs = torch.cartesian_prod(torch.arange(-1, n_persons), torch.arange(-1, n_objects))
+        used, ray_pair = torch.unique((persons + 1) * (n_objects + 1) + objects[:, 0] + 1, return_inverse=True)
+        return pairs[used], ray_pair
+
+    def _regularisers(self, figures: list) -> Tensor:
+        """λ L_w + β L_Δ: one-hot weights on the bones, offsets near zero."""
+        total = torch.zeros(())
+        for person in sorted({figure.person for figure in figures if figure.person >= 0}):
+            volume = self.model.volumes[person]
+            nodes, bones = self.bones[person]
+            weights = volume.logits[nodes].softmax(dim=1)  # type: ignore[index, union-attr]
+            one_hot = torch.nn.functional.one_hot(bones, weights.shape[1])
+            total = total + self.settings.weight_loss * ((weights - one_hot) ** 2).mean()
+            codes = np.stack([figure.code for figure in figures if figure.person == person])
+            offset = volume.offset(torch.as_tensor(codes, dtype=torch.float32))  # type: ignore[operator]
+            if offset is not None:
+                total = total + self.settings.offset_loss * (offset**2).mean()
+        return total
+
+    def _update(self, index: int, share: float) -> None:
+        decay = self.settings.last_rate ** min(share, 1.0) * min(1.0, (index + 1) / 10)
+        for group, rate in zip(self.optimiser.param_groups, self.rates, strict=True):
+            group["lr"] = rate * decay
+        self.optimiser.step()
+        field = self.model.field
+        rows = (array.reshape(-1, FEATURES) for array in (
+            field.table.detach().numpy(), field.gradient.buffer.numpy(), self.mean, self.square,
+        ))  # fmt: skip
+        corrections = (1.0 - BETAS[0] ** (index + 1), 1.0 - BETAS[1] ** (index + 1))
+        adam_rows(*rows, *(np.float32(value) for value in (
+            self.settings.grid_rate * decay, *BETAS, EPSILON, *corrections,
+        )))  # fmt: skip
+
+    def _follow_density(self, done: int) -> None:
+        """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
+        if done >= self.settings.cull_from and done % self.settings.cull_every == 0:
+            random = np.random.default_rng([self.seed, done, 1])
+            for part in range(len(self.model.occupancy.dims)):
+                self._refresh(part, random)
+        if done in self.settings.rebuild:
+            self._rebuild()
+
+    def _refresh(self, part: int, random: np.random.Generator) -> None:
+        occupancy = self.model.occupancy
+        own = slice(occupancy.first[part], occupancy.first[part + 1])
+        cells = np.flatnonzero(occupancy.support[own])
+        points = occupancy.centres(part, cells)
+        points += (random.random(points.shape, dtype=np.float32) - np.float32(0.5)) * np.float32(occupancy.cell)
+        pair = torch.tensor([[part, -1] if part < len(self.model.persons) else [-1, part - len(self.model.persons)]])
+        pair = self._usual_pair(part, pair)
+        density = self.model.field.density(
+            torch.from_numpy(points), torch.full((len(points),), part, dtype=torch.int32), pair,
+            torch.zeros(len(points), dtype=torch.int64),
+        )  # fmt: skip
+        cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
+        occupancy.densities[own][cells] = np.where(cached < CULL_DENSITY, 0.0, cached)
+
+    def _usual_pair(self, part: int, pair: Tensor) -> Tensor:
+        """A pair that training has seen with this part, since codes of absent identities may never be trained."""
+        for figure in self.posed:
+            thing = figure.objects[0] if figure.objects else -1
+            if figure.person == part or (thing >= 0 and len(self.model.persons) + thing == part):
+                return torch.tensor([[figure.person, thing]])
+        return pair
+
+    def actor(self) -> GridActor:
+        """The model as it is now."""
+        return GridActor(self.model)
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything that later steps depend on."""
+        state = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        state["occupancy"] = torch.from_numpy(self.model.occupancy.densities)
+        state["grid.mean"], state["grid.square"] = torch.from_numpy(self.mean), torch.from_numpy(self.square)
+        for number, values in self.optimiser.state_dict()["state"].items():
+            for name, value in values.items():
+                state[f"adam.{number}.{name}"] = value
+        return {name: value.detach().clone().contiguous() for name, value in state.items()}
+
+    def restore(self, state: dict[str, Tensor], done: int) -> None:
+        """Continues from ``state`` after ``done`` steps."""
+        self.model.load_state_dict({name[6:]: value for name, value in state.items() if name.startswith("model.")})
+        self.mean[:], self.square[:] = state["grid.mean"].numpy(), state["grid.square"].numpy()
+        adam: dict[int, dict[str, Tensor]] = {}
+        for name, value in state.items():
+            if name.startswith("adam."):
+                _, number, key = name.split(".")
+                adam.setdefault(int(number), {})[key] = value
+        content = self.optimiser.state_dict()
+        self.optimiser.load_state_dict({"state": adam, "param_groups": content["param_groups"]})
+        self.model.occupancy.densities[:] = state["occupancy"].numpy()
+        if any(step <= done for step in self.settings.rebuild):
+            self._rebuild()
+
+
+def object_distance(dataset: Dataset) -> float:
+    """How far in front of the root objects stand in canonical space: clear of the body, metres."""
+    radii = [float(np.linalg.norm(np.maximum(np.abs(o.lower), np.abs(o.upper)))) for o in dataset.objects.values()]
+    return 0.5 + max(radii, default=0.5)

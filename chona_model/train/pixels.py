@@ -1,0 +1,83 @@
+"""Training pixels: those that the posed hull can reach, with their depth spans, grouped by pose and view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from chona_model.camera import Camera
+from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
+from chona_model.render.posed import depth_spans
+from chona_model.render.tracing import PoseTable
+
+
+@dataclass(frozen=True)
+class PoseViews:
+    """All views of one pose."""
+
+    views: tuple[View, ...]
+    pixels: tuple[Pixels, ...]
+
+
+@dataclass(frozen=True)
+class ViewPool:
+    """Reachable pixels of one view, K of them.
+
+    Attributes:
+        columns, rows: [K] int16; near, far: [K] float32 depths; rgb: [K, 3] uint8.
+        part: [K] int8: 0 background, 1 person, 2 object.
+    """
+
+    camera: Camera
+    columns: np.ndarray
+    rows: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    rgb: np.ndarray
+    part: np.ndarray
+
+
+def group_by_pose(dataset: Dataset, scale: float) -> list[PoseViews]:
+    """Loads every view and groups views of the same moment.
+
+    Raises:
+        DatasetError: an image is damaged.
+    """
+    groups: dict[tuple[str, str], list[View]] = {}
+    for view in dataset.views:
+        groups.setdefault((view.sequence, view.frame), []).append(view)
+    result = []
+    for views in groups.values():
+        pixels = tuple(load_pixels(view, scale) for view in views)
+        scaled = views if scale == 1.0 else [_with_camera(view, view.camera.scaled(scale)) for view in views]
+        result.append(PoseViews(tuple(scaled), pixels))
+    return result
+
+
+def _with_camera(view: View, camera: Camera) -> View:
+    return View(
+        view.sequence, view.frame, view.camera_name, camera, view.pose, view.image, view.person_mask, view.object_mask
+    )
+
+
+def make_pools(table: PoseTable, groups: Sequence[PoseViews]) -> list[list[ViewPool]]:
+    """Pools of every pose's views; views that the hull does not reach are left out."""
+    pools = []
+    for index, group in enumerate(groups):
+        row = []
+        for view, pixels in zip(group.views, group.pixels, strict=True):
+            near, far = depth_spans(table.parts[index], table.poses[index].figure, view.camera)
+            rows, columns = np.nonzero(far > near)
+            if len(rows) == 0:
+                continue
+            part = pixels.person[rows, columns] + 2 * pixels.object[rows, columns].astype(np.int8)
+            row.append(
+                ViewPool(
+                    view.camera, columns.astype(np.int16), rows.astype(np.int16), near[rows, columns], far[rows, columns],
+                    np.round(pixels.rgb[rows, columns] * 255).astype(np.uint8), part.astype(np.int8),
+                )
+            )  # fmt: skip
+        pools.append(row)
+    return pools
