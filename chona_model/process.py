@@ -7,8 +7,8 @@ import os
 import sys
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-KEEP_BYTES = 1 << 30
-"""Freed buffers up to this size stay with the process."""
+KEEP_BUFFER, KEEP_TOTAL = 1 << 25, 1 << 30
+"""Freed buffers up to this size stay with the process, up to this much in all, bytes; glibc refuses a larger first."""
 
 
 def tune() -> None:
@@ -22,5 +22,5 @@ def tune() -> None:
     if sys.platform == "linux":
         libc = ctypes.CDLL(None)
         if hasattr(libc, "mallopt"):  # musl has none
-            libc.mallopt(M_MMAP_THRESHOLD, KEEP_BYTES)
-            libc.mallopt(M_TRIM_THRESHOLD, KEEP_BYTES)
+            libc.mallopt(M_MMAP_THRESHOLD, KEEP_BUFFER)
+            libc.mallopt(M_TRIM_THRESHOLD, KEEP_TOTAL)
