@@ -12,6 +12,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,8 +89,7 @@ def _run(words: list[str], progress: Progress) -> int:
 
 def _mode(words: Sequence[str]) -> str:
     """The progress mode before anything is parsed, so that parsing errors are reported in it too."""
-    pairs = zip(words, [*words[1:], ""], strict=True)
-    return "json" if "--progress=json" in words or ("--progress", "json") in pairs else "terminal"
+    return "json" if "--progress=json" in words or ("--progress", "json") in pairwise(words) else "terminal"
 
 
 def _is_house_error(error: Exception) -> bool:
