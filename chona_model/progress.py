@@ -19,7 +19,7 @@ from typing import Any, Self, TextIO
 
 MODES = ("terminal", "json")
 UPDATE_SECONDS = 0.2
-"""Shortest time between two JSON updates; the last one before the end is always written."""
+"""Shortest time between two updates; the last one before the end is always written to JSON."""
 
 
 class Cancelled(Exception):
@@ -135,22 +135,24 @@ class Progress:
 
     def update(self, done: float, message: str = "", **fields: Any) -> None:
         """Says how far the job is, with numbers such as ``loss`` and ``psnr``.  Cheap: call it after every step."""
+        now = self._clock()
+        left = None if self._total is None else max(self._total - done, 0.0)
+        due = now - self._written >= UPDATE_SECONDS or left == 0
         if self.mode == "terminal":
-            if self._bar is not None:
+            if self._bar is not None and due:
                 words = [message] if message else []
                 words += [f"{name} {value:.4g}" for name, value in fields.items() if isinstance(value, int | float)]
                 self._bar.set_postfix_str(", ".join(words), refresh=False)
-                self._bar.update(done - self._bar.n)
+                self._bar.n, self._written = done, now
+                self._bar.refresh()
             return
-        now = self._clock()
         seconds = now - self._started
         advanced = done - self._first
-        left = None if self._total is None else max(self._total - done, 0.0)
         eta = round(seconds / advanced * left, 1) if advanced > 0 and left is not None else None
         event = {"event": "progress", "job": self.job, "done": done, "total": self._total,
                  "seconds": round(seconds, 3), "eta": eta}  # fmt: skip
         self._held = event | ({"message": message} if message else {}) | fields
-        if now - self._written >= UPDATE_SECONDS or left == 0:
+        if due:
             self._flush(now)
 
     def result(self, **fields: Any) -> None:

@@ -294,8 +294,10 @@ def test_formats_that_are_not_read(work: Path, tmp_path: Path, format: str, word
 
 def test_behave_without_calibration(hoibench: Path, tmp_path: Path) -> None:
     sequence = next(iter(sorted((hoibench / "behave" / "sequences").iterdir())))
-    (tmp_path / "behave" / "sequences").mkdir(parents=True)
-    (tmp_path / "behave" / "sequences" / sequence.name).symlink_to(sequence)
+    frame = next(iter(sorted(path for path in sequence.iterdir() if path.is_dir())))
+    copy = tmp_path / "behave" / "sequences" / sequence.name
+    shutil.copytree(frame, copy / frame.name)
+    shutil.copy(sequence / "info.json", copy)
     (tmp_path / "behave" / "objects").symlink_to(hoibench / "behave" / "objects")
     done = chona("check-data", "behave", "--body-model", hoibench / "smplh", cwd=tmp_path)
     refused(done, ["calib"])
