@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 import sys
 import traceback
@@ -328,8 +329,28 @@ def _doctor(arguments: argparse.Namespace, _progress: Progress) -> int:
     return DONE if report["ok"] else FAILED
 
 
-def _demo(_arguments: argparse.Namespace, _progress: Progress) -> int:
-    raise UsageError("chona demo needs the folder demo of the sources; get the repository and run it there")
+def _demo(arguments: argparse.Namespace, _progress: Progress) -> int:
+    root = Path(__file__).resolve().parent.parent
+    if not (root / "demo" / "run.py").is_file():
+        raise UsageError(
+            "chona demo is part of the sources, and this is an installed package without the folder demo; get the "
+            "repository, and run 'make demo' or 'python -m chona_model demo' in it"
+        )
+    if arguments.blender_python is not None and not arguments.blender_python.is_file():
+        raise UsageError(
+            f"--blender-python is {arguments.blender_python}, which does not exist; expected a Python with the module "
+            "bpy: name one, or make one with 'pip install bpy'"
+        )
+    out = writable_folder(arguments.out, "--out")
+    words = ["--out", str(out)]
+    if arguments.blender_python is not None:
+        words += ["--blender-python", str(arguments.blender_python)]
+    if arguments.minutes is not None:
+        words += ["--minutes", f"{arguments.minutes:g}"]
+    if arguments.quick:
+        words.append("--quick")
+    sys.path.insert(0, str(root))
+    return int(importlib.import_module("demo.run").main(words) or DONE)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ import pytest
 import torch
 from cli_files import SEQUENCE, write_capture, write_header, write_tiny_shot
 
+import chona_model
+
 SECONDS = 240
 
 
@@ -143,6 +145,14 @@ def test_cuda_that_is_not_there(work: Path, tmp_path: Path, command: str) -> Non
         "bake": ["--model", "run/model.safetensors", "--shot", "walk.shot.npz", "--out", tmp_path / "frames"],
     }
     refused(chona(command, *arguments[command], "--device", "cuda", cwd=work), ["cuda", "--device cpu"])
+
+
+def test_the_demo_is_named_where_it_is_absent(tmp_path: Path) -> None:
+    package = Path(chona_model.__file__).parent
+    shutil.copytree(package, tmp_path / "chona_model", ignore=shutil.ignore_patterns("__pycache__"))
+    done = chona("demo", "--out", "shown", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    refused(done, ["demo", "repository"])
+    assert not (tmp_path / "shown").exists()
 
 
 # Model files
