@@ -100,6 +100,8 @@ def _is_house_error(error: Exception) -> bool:
 
 def _describe(error: Exception, words: Sequence[str]) -> str:
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if isinstance(error, ImportError):
+        text += "; 'chona doctor' says what to install"
     return text if "--debug" in words else f"{text} (--debug shows where)"
 
 
