@@ -75,7 +75,6 @@ class GridActor:
         )  # fmt: skip
         thing = posed.objects[0] if posed.objects else -1
         pairs = torch.tensor([[posed.person, thing]])
-        model.field.mlp_dtype = torch.bfloat16 if settings.half_mlps else torch.float32
         with torch.inference_mode():
             matrices, index = model.matrices([posed], settings.offset)
             codes = torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None

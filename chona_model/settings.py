@@ -62,7 +62,6 @@ class RenderSettings:
         supersampling: rays a pixel along each axis.
         occupancy: whether empty cells of the occupancy grids are skipped.
         offset, shading: whether F_Δ and the ambient occlusion are applied.
-        half_mlps: whether the small MLPs compute in bfloat16.
         resolution: share of the image's width and height that is rendered; the rest is interpolated.
         exact: settings of models that follow the paper's path.
     """
@@ -76,7 +75,6 @@ class RenderSettings:
     occupancy: bool = True
     offset: bool = True
     shading: bool = True
-    half_mlps: bool = True
     resolution: float = 1.0
     exact: ExactSettings = ExactSettings()
 
@@ -92,7 +90,7 @@ RENDER_PRESETS = {
     ),
     "final": RenderSettings("final", step=0.008, newton_steps=4, stop=0.003, supersampling=2),
     "exact": RenderSettings(
-        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False, half_mlps=False
+        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False
     ),
 }  # fmt: skip
 """Presets by name, in order of quality."""

@@ -11,14 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import linear, relu, softplus
+from torch.nn.functional import relu, softplus
 
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
-
-
-SHADE_BIAS = 2.0
-"""Ambient occlusion starts at sigmoid(2) = 0.88: nearly open, with a gradient both ways."""
-
+from chona_model.kernels.perceptron import FieldWeights, evaluate
 
 EMPTY_BIAS = -3.0
 """Initial raw density: 100 · softplus(−4) = 1.8 / m, so that a body's depth starts half transparent."""
@@ -39,7 +35,7 @@ class GridShape:
     coarsest: float = 0.12
     finest: float = 0.004
     rows: int = 17
-    hidden: int = 64
+    hidden: int = 32
     features: int = 15
     code: int = 8
     pose: int = 8
@@ -60,7 +56,6 @@ class GridField(nn.Module):
         super().__init__()
         self.shape = shape
         self.persons = persons
-        self.mlp_dtype = torch.float32
         parts = len(lower)
         self.register_buffer("lower", torch.as_tensor(lower, dtype=torch.float32))
         self.layout: GridLayout = make_layout(
@@ -108,21 +103,22 @@ class GridField(nn.Module):
         local = (points - self.lower[part.long()]).clamp(min=0.0)
         gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
         encoded = encode(local, part, self.table, self.layout, gradient)
-        codes = self.codes(pairs)
-        dtype = self.mlp_dtype
-        hidden = self._linear(encoded.to(dtype), self.density_in, self.density_code(codes), pair)
-        raw = self._linear(relu(hidden), self.density_out)
-        density = self.shape.density_scale * softplus(raw[:, 0].float() - 1.0)
-        hidden = self._linear(torch.cat([encoded.to(dtype), raw[:, 1:]], dim=1), self.colour_in, self.colour_code(codes), pair)
-        rgb = torch.sigmoid(self._linear(relu(hidden), self.colour_out).float())
+        weights = self._weights(self.codes(pairs), pose_codes)
+        return evaluate(encoded, weights, pair, pose, self.shape.density_scale)
+
+    def _weights(self, codes: Tensor, pose_codes: Tensor | None) -> FieldWeights:
+        """Codes and pose reach the perceptrons as biases, computed once a pair and once a pose."""
+        features = self.shape.features
+        shade = None
         if pose_codes is not None:
-            features = self.shape.features
-            weight = self.shade_in.weight.to(dtype)
-            conditioned = torch.tanh(self.pose_in(pose_codes)) @ self.shade_in.weight[:, features:].T
-            shade = linear(raw[:, 1:], weight[:, :features], self.shade_in.bias.to(dtype))
-            shade = relu(shade + self._gather(conditioned.to(dtype), pose))
-            rgb = rgb * torch.sigmoid(self._linear(shade, self.shade_out).float() + SHADE_BIAS)
-        return density, rgb
+            pose = torch.tanh(self.pose_in(pose_codes))
+            shade = pose @ self.shade_in.weight[:, features:].T + self.shade_in.bias
+        return FieldWeights(
+            self.density_in.weight, self.density_in.bias + self.density_code(codes), self.density_out.weight,
+            self.density_out.bias, self.colour_in.weight, self.colour_in.bias + self.colour_code(codes),
+            self.colour_out.weight, self.colour_out.bias, self.shade_in.weight[:, :features], shade,
+            self.shade_out.weight, self.shade_out.bias,
+        )  # fmt: skip
 
     def density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
         """Density alone [M], 1/m, without gradients: for occupancy."""
@@ -132,16 +128,6 @@ class GridField(nn.Module):
             hidden = self.density_in(encoded) + self._gather(self.density_code(self.codes(pairs)), pair)
             raw = relu(hidden) @ self.density_out.weight[0] + self.density_out.bias[0]
             return self.shape.density_scale * softplus(raw - 1.0)
-
-    def _linear(self, x: Tensor, layer: nn.Linear, extra: Tensor | None = None, index: Tensor | None = None) -> Tensor:
-        """A layer in the MLPs' precision; ``extra`` rows are added to its bias by ``index``."""
-        dtype = x.dtype
-        weight, bias = layer.weight.to(dtype), layer.bias
-        if extra is None or index is None:
-            return linear(x, weight, bias.to(dtype))
-        if len(extra) == 1:
-            return linear(x, weight, (bias + extra[0]).to(dtype))
-        return linear(x, weight) + (bias + extra).to(dtype)[index]
 
     @staticmethod
     def _gather(rows: Tensor, index: Tensor) -> Tensor:

@@ -41,11 +41,10 @@ class FastSettings:
         cull_from, cull_every: first step at which occupancy follows the density, and how often.
         rebuild: steps after which posed grids and pixel pools are made anew.
         trace: shortcuts of ray tracing while training.
-        half_mlps: whether the small MLPs compute in bfloat16.
     """
 
-    rays: int = 4096
-    poses: int = 5
+    rays: int = 2048
+    poses: int = 4
     grid_rate: float = 1e-2
     mlp_rate: float = 2e-3
     skin_rate: float = 1e-3
@@ -60,7 +59,6 @@ class FastSettings:
     cull_every: int = 64
     rebuild: tuple[int, ...] = (256, 512, 1024, 2048, 4096)
     trace: TraceSettings = TraceSettings(step=0.01, trust=0.8, stop=1e-2)
-    half_mlps: bool = True
 
 
 BETAS = (0.9, 0.99)
@@ -92,7 +90,6 @@ class GridTrainer:
         slots = max((len(view.pose.objects) for view in dataset.views), default=0)
         shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
         self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
-        self.model.field.mlp_dtype = torch.bfloat16 if settings.half_mlps else torch.float32
         self.groups = group_by_pose(dataset, image_scale)
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
         carve_hull(
