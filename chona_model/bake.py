@@ -177,4 +177,6 @@ def _check_writable(out: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OSError(f"cannot write to the output folder {out} ({error.strerror}); choose another with --out") from error
+        raise OSError(
+            f"cannot write to the output folder {out} ({error.strerror}); choose another with --out"
+        ) from error

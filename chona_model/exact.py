@@ -105,7 +105,7 @@ class ExactModel(nn.Module):
 
         return find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
 
-    def render_rays(  # noqa: PLR0917 - the interface that every renderer shares
+    def render_rays(
         self,
         rays: RayBatch,
         poses: PoseBatch,

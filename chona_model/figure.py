@@ -125,7 +125,9 @@ def pose_codes(figures: Sequence[Figure], rig: Rig) -> np.ndarray:
         bones = len(rig.skeleton)
         parents = np.array(rig.skeleton.parents)
         parent_rotation = rotation[np.maximum(parents, 0)]
-        local = np.where((parents >= 0)[:, None, None], np.swapaxes(parent_rotation, -1, -2), np.eye(3)) @ rotation[:bones]
+        local = (
+            np.where((parents >= 0)[:, None, None], np.swapaxes(parent_rotation, -1, -2), np.eye(3)) @ rotation[:bones]
+        )
         body = np.where(figure.present[:bones, None, None], local[..., :2], 0.0).reshape(-1)
         objects = []
         for index in range(bones, len(rotation)):

@@ -92,7 +92,8 @@ class GridActor:
                     traced = trace(
                         model, table, matrices, index, np.zeros(1, dtype=np.int32),
                         (origins, directions, near[part], far[part]), np.zeros(count, dtype=np.int32),
-                        np.full(count, 0.5, dtype=np.float32), pairs, torch.zeros(count, dtype=torch.int64), codes, limits,
+                        np.full(count, 0.5, dtype=np.float32), pairs, torch.zeros(count, dtype=torch.int64), codes,
+                        limits,
                     )  # fmt: skip
                     sums[part] += traced.out.numpy()
                     failed[part] += traced.failed
@@ -111,7 +112,10 @@ class GridActor:
             result[f"{identity}.density"] = torch.from_numpy(model.occupancy.part(part)).clone()
             support = model.occupancy.support[model.occupancy.first[part] : model.occupancy.first[part + 1]]
             result[f"{identity}.support"] = torch.from_numpy(support).clone()
-        result |= {"codes.persons": model.field.person_codes.detach(), "codes.objects": model.field.object_codes.detach()}
+        result |= {
+            "codes.persons": model.field.person_codes.detach(),
+            "codes.objects": model.field.object_codes.detach(),
+        }
         for index, person in enumerate(model.persons):
             grid = model.grid(index)
             prefix = f"person.{person.name}"
@@ -188,9 +192,7 @@ def _picture(
     empty.human[rows, columns] = alpha - thing
     empty.confidence[rows, columns] = 1.0 - failed / np.maximum(tried, 1.0)
     share = float(failed.sum() / max(tried.sum(), 1.0))
-    return Picture(
-        empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), share
-    )
+    return Picture(empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), share)
 
 
 def enlarge(picture: Picture, camera: Camera) -> Picture:

@@ -89,8 +89,18 @@ class GridModel(nn.Module):
         volumes = []
         for index, person in enumerate(self.persons):
             tails = skeleton.bone_tails(person.rest_joints)
-            grid = grids[index] if grids is not None else make_node_grid(
-                lower[index], upper[index], shape.node_cell, person.rest_joints, tails, shape.node_reach, person.surface
+            grid = (
+                grids[index]
+                if grids is not None
+                else make_node_grid(
+                    lower[index],
+                    upper[index],
+                    shape.node_cell,
+                    person.rest_joints,
+                    tails,
+                    shape.node_reach,
+                    person.surface,
+                )
             )
             volume = SkinningVolume(grid, len(skeleton), self.code_size, shape.offset_rank)
             if grids is None:
@@ -111,10 +121,15 @@ class GridModel(nn.Module):
             upper.append(np.asarray(thing.upper) + OBJECT_MARGIN)
         return np.array(lower), np.array(upper)
 
+    def volume(self, person: int) -> SkinningVolume:
+        """Skinning of a person."""
+        volume = self.volumes[person]
+        assert isinstance(volume, SkinningVolume)
+        return volume
+
     def grid(self, person: int) -> NodeGrid:
         """Skinning nodes of a person."""
-        volume: SkinningVolume = self.volumes[person]  # type: ignore[assignment]
-        return volume.grid
+        return self.volume(person).grid
 
     def rig(self, person: int) -> Rig:
         """The rig of a person; of no person (−1), one with joints at the origin, for objects alone."""
@@ -152,7 +167,7 @@ class GridModel(nn.Module):
             mine = [index for index, pose in enumerate(poses) if pose.person == person]
             transforms = np.stack([poses[index].figure.transforms[:bones] for index in mine]).astype(np.float32)
             codes = torch.as_tensor(np.stack([poses[index].code for index in mine]), dtype=torch.float32)
-            blended = self.volumes[person].blend(torch.from_numpy(transforms), codes if offset else None)
+            blended = self.volume(person).blend(torch.from_numpy(transforms), codes if offset else None)
             for index, matrix in zip(mine, blended, strict=True):
                 rows[index] = matrix
         lengths = [0 if row is None else len(row) for row in rows]

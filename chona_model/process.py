@@ -14,9 +14,9 @@ KEEP_BUFFER, KEEP_TOTAL = 1 << 25, 1 << 30
 def tune() -> None:
     """Keeps freed memory and lets idle threads sleep.
 
-    glibc returns every large buffer to the system, and a step of training makes dozens: mapping them again took half the
-    time of a step.  OpenMP's threads spin while they wait for work, which takes a core from numba's threads; the two
-    take turns many times a step.
+    glibc returns every large buffer to the system, and a step of training makes dozens: mapping them again took half
+    the time of a step.  OpenMP's threads spin while they wait for work, which takes a core from numba's threads: the
+    two take turns many times a step.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if sys.platform == "linux":

@@ -110,8 +110,8 @@ def check_data(dataset: Dataset, out_dir: Path | None, views_per_sequence: int =
             sheet = out_dir / f"{name}.png"
             sheet.parent.mkdir(parents=True, exist_ok=True)
             _sheet(tally.tiles).save(sheet)
-        shares = [float(np.mean(values)) if values else None for values in (tally.joints, tally.objects)]
-        checks.append(SequenceCheck(name, len(views), len(chosen), *shares, sheet))
+        joints, objects = (float(np.mean(values)) if values else None for values in (tally.joints, tally.objects))
+        checks.append(SequenceCheck(name, len(views), len(chosen), joints, objects, sheet))
         warnings.extend(_doubts(checks[-1], tally))
     return DataReport(
         tuple(dataset.persons),
@@ -139,7 +139,7 @@ def _doubts(check: SequenceCheck, tally: _Tally) -> Iterable[str]:
         )
     if check.objects_inside is not None and check.objects_inside < OBJECT_SHARE_EXPECTED:
         yield (
-            f"{where}only {check.objects_inside:.0%} of the objects' centres fall into the box of the object's mask; is "
+            f"{where}only {check.objects_inside:.0%} of the objects' centres fall into the box of their mask; is "
             "the object's frame at its template's centre, and its rotation not transposed?"
         )
 

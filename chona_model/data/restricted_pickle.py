@@ -128,7 +128,7 @@ class _Unpickler(pickle.Unpickler):
             return type(name, (_Chumpy,), {"label": f"{module}.{name}"})
         raise _Refused(f"{module}.{name}")
 
-    def persistent_load(self, pid: Any) -> Any:  # noqa: ARG002
+    def persistent_load(self, pid: Any) -> Any:
         raise _Refused("a persistent id")
 
 

@@ -16,7 +16,7 @@ from chona_model.geometry import inverse_3x3
 
 class _ImplicitRoot(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, root: Tensor, residual: Tensor, inverse: Tensor, usable: Tensor) -> Tensor:  # noqa: ARG004
+    def forward(ctx: Any, root: Tensor, residual: Tensor, inverse: Tensor, usable: Tensor) -> Tensor:
         ctx.save_for_backward(inverse, usable)
         return root.clone()
 

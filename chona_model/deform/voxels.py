@@ -1,10 +1,10 @@
-"""Skinning cached in voxels (Fast-SNARF's idea): learned weights on the nodes of a canonical grid, blended once per pose.
+"""Skinning cached in voxels (Fast-SNARF's idea): learned weights on the nodes of a canonical grid, blended once a pose.
 
 Between nodes weights are interpolated trilinearly.  Because blending is linear in the weights, interpolating the
 blended matrices of a pose is the same function, so caching them per pose costs no accuracy.
 
-The pose-conditioned offset F_Δ lives on the same nodes as a low-rank sum ``Σ_k c_k(P) D_k(x)`` and goes into the blended
-matrices' last column: it costs nothing a sample.
+The pose-conditioned offset F_Δ lives on the same nodes as a low-rank sum ``Σ_k c_k(P) D_k(x)`` and goes into the
+blended matrices' last column: it costs nothing a sample.
 """
 
 from __future__ import annotations

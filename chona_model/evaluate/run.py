@@ -61,18 +61,22 @@ def evaluate(
         prediction = np.clip(picture.rgb, 0.0, 1.0)
         images.append(
             {
-                "sequence": view.sequence, "frame": view.frame, "camera": view.camera_name,
-                **asdict(score(prediction, pixels.rgb, pixels.mask)), "seconds": seconds,
+                "sequence": view.sequence,
+                "frame": view.frame,
+                "camera": view.camera_name,
+                **asdict(score(prediction, pixels.rgb, pixels.mask)),
+                "seconds": seconds,
                 "rays_per_second": picture.rays * settings.supersampling**2 / seconds,
                 "failed_share": picture.failed_share,
-            }  # fmt: skip
+            }
         )
         if save_images is not None:
             _save(save_images / f"{view.label}_PREDICTION.png", prediction)
             _save(save_images / f"{view.label}_TARGET.png", pixels.rgb)
         progress.update(number, view.label, psnr=images[-1]["psnr"])
-    report = {
-        "mean": {name: _mean([image[name] for image in images]) for name in METRICS},
+    mean = {name: _mean([image[name] for image in images]) for name in METRICS}
+    report: dict[str, Any] = {
+        "mean": mean,
         "images": images,
         "settings": {**asdict(settings), "image_scale": image_scale},
         "model": {"path": str(model), "sha256": file_hash(model)},
@@ -80,7 +84,7 @@ def evaluate(
     }
     write_bytes(json_path, json.dumps(report, indent=1).encode())
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
-    finish(json=str(json_path), views=len(images), **{name: report["mean"][name] for name in ("psnr", "ssim")})
+    finish(json=str(json_path), views=len(images), **{name: mean[name] for name in ("psnr", "ssim")})
     return report
 
 

@@ -57,6 +57,7 @@ class GridField(nn.Module):
         self.shape = shape
         self.persons = persons
         parts = len(lower)
+        self.lower: Tensor
         self.register_buffer("lower", torch.as_tensor(lower, dtype=torch.float32))
         self.layout: GridLayout = make_layout(
             (upper - lower).max(axis=0), shape.coarsest, shape.finest, shape.levels, 1 << shape.rows

@@ -76,7 +76,9 @@ def read_metadata(path: Path) -> dict[str, str]:
             f"there is no model file {path}; expected a model.safetensors: train one with 'chona train'"
         ) from error
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ModelFileError(f"cannot read {path}: {error}; expected a model.safetensors that 'chona train' wrote") from error
+        raise ModelFileError(
+            f"cannot read {path}: {error}; expected a model.safetensors that 'chona train' wrote"
+        ) from error
     metadata = header.get("__metadata__", {}) if isinstance(header, dict) else {}
     end = max((entry["data_offsets"][1] for name, entry in header.items() if name != "__metadata__"), default=0)
     if size < 8 + length + end:
@@ -95,7 +97,8 @@ def read_header(path: Path) -> ModelHeader:
         content = json.loads(text) if text is not None else {}
         if content.get("format") != FORMAT:
             raise ModelFileError(
-                f"{path} is a safetensors file but no CHONA model (format '{content.get('format')}', expected '{FORMAT}')"
+                f"{path} is a safetensors file but no CHONA model: its format is '{content.get('format')}', expected "
+                f"'{FORMAT}'; give a file that 'chona train' wrote"
             )
         if content.get("version") != VERSION:
             raise ModelFileError(

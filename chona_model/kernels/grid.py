@@ -10,9 +10,12 @@ import torch
 from torch import Tensor
 
 from chona_model.kernels import reference
-from chona_model.kernels.cpu import encode as cpu
+from chona_model.kernels.cpu import encode as kernels
 
-FEATURES = cpu.FEATURES
+cpu: Any = kernels
+"""numba's dispatchers take any arguments; a type checker does not know that."""
+
+FEATURES = kernels.FEATURES
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class TableGradient:
 
 class _Encode(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any, points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout, gradient: TableGradient
     ) -> Tensor:
         out = torch.empty(len(points), layout.levels * FEATURES)
@@ -66,12 +69,10 @@ class _Encode(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor | None, ...]:
         points, identity, table = ctx.saved_tensors
         grad = grad_out.contiguous().numpy()
-        cpu.encode_backward_table(
-            points.numpy(), identity.numpy(), grad, *ctx.arguments, ctx.gradient.buffer.numpy()
-        )
+        cpu.encode_backward_table(points.numpy(), identity.numpy(), grad, *ctx.arguments, ctx.gradient.buffer.numpy())
         grad_points = None
         if ctx.needs_input_grad[0]:
             grad_points = torch.empty_like(points)

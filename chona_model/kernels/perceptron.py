@@ -90,7 +90,7 @@ class _Packed:
 
 class _Perceptron(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any, encoded: Tensor, pair: Tensor, pose: Tensor, scale: float, *weights: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         packed = _Packed(list(weights))
@@ -104,7 +104,7 @@ class _Perceptron(torch.autograd.Function):
         return density, rgb
 
     @staticmethod
-    def backward(ctx: Any, grad_density: Tensor, grad_rgb: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, grad_density: Tensor, grad_rgb: Tensor) -> tuple[Tensor | None, ...]:
         encoded, pair, pose, *weights = ctx.saved_tensors
         packed = _Packed(weights)
         grads = _Gradients(weights, packed)
@@ -126,7 +126,13 @@ class _Gradients:
         self.own = [None if w is None else torch.zeros_like(w) for w in weights]
 
     def add(
-        self, chunk: _Chunk, packed: _Packed, grad_density: Tensor, grad_rgb: Tensor, pair: Tensor | None, pose: Tensor | None
+        self,
+        chunk: _Chunk,
+        packed: _Packed,
+        grad_density: Tensor,
+        grad_rgb: Tensor,
+        pair: Tensor | None,
+        pose: Tensor | None,
     ) -> Tensor:
         """Adds one chunk; returns the gradient of its encoded points."""
         own, hidden = FieldWeights(*self.own), packed.hidden  # type: ignore[arg-type]

@@ -15,8 +15,15 @@ from chona_model.kernels.grid import fast
 
 class _Integrate(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any, density: Tensor, rgb: Tensor, first: Tensor, depth: Tensor, delta: Tensor, is_object: Tensor, stop: float
+    def forward(
+        ctx: Any,
+        density: Tensor,
+        rgb: Tensor,
+        first: Tensor,
+        depth: Tensor,
+        delta: Tensor,
+        is_object: Tensor,
+        stop: float,
     ) -> tuple[Tensor, Tensor]:
         out, weights = torch.empty(len(first) - 1, 6), torch.empty_like(density)
         density, rgb = density.contiguous(), rgb.contiguous()
@@ -30,7 +37,7 @@ class _Integrate(torch.autograd.Function):
         return out, weights
 
     @staticmethod
-    def backward(ctx: Any, grad_out: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, grad_out: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
         density, rgb, first, depth, delta, is_object, weights = ctx.saved_tensors
         grad_density, grad_rgb = torch.zeros_like(density), torch.zeros_like(rgb)
         cpu.integrate_backward(

@@ -1,4 +1,4 @@
-"""The seam for inverse skinning in voxels: differentiable roots of f(x) = A(x) [x; 1] over per-pose blended matrices."""
+"""The seam for inverse skinning in voxels: differentiable roots of f(x) = A(x) [x; 1] over blended matrices."""
 
 from __future__ import annotations
 
@@ -49,8 +49,14 @@ MIN_DETERMINANT = 0.2
 
 class _Invert(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any, matrices: Tensor, posed: Tensor, starts: Tensor, pose: Tensor, index: VolumeIndex, limits: NewtonLimits
+    def forward(
+        ctx: Any,
+        matrices: Tensor,
+        posed: Tensor,
+        starts: Tensor,
+        pose: Tensor,
+        index: VolumeIndex,
+        limits: NewtonLimits,
     ) -> tuple[Tensor, Tensor]:
         roots, residuals = torch.empty_like(posed), torch.empty(len(posed))
         cell = np.float32(index.inverse_cell)
@@ -65,7 +71,7 @@ class _Invert(torch.autograd.Function):
         return roots, residuals
 
     @staticmethod
-    def backward(ctx: Any, grad_roots: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, grad_roots: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
         matrices, roots, pose = ctx.saved_tensors
         index = ctx.index
         grad_matrices = torch.zeros_like(matrices)

@@ -49,7 +49,14 @@ def make_occupancy(lower: np.ndarray, upper: np.ndarray, cell: float) -> Occupan
     """Empty grids over boxes ``lower``, ``upper`` [I, 3], metres."""
     dims = np.maximum(np.ceil((upper - lower) / cell).astype(np.int64), 1)
     first = np.concatenate([[0], np.cumsum(dims.prod(axis=1))])
-    return Occupancy(cell, lower.astype(np.float32), dims, first, np.zeros(first[-1], dtype=np.float32), np.zeros(first[-1], dtype=bool))
+    return Occupancy(
+        cell,
+        lower.astype(np.float32),
+        dims,
+        first,
+        np.zeros(first[-1], dtype=np.float32),
+        np.zeros(first[-1], dtype=bool),
+    )
 
 
 UNKNOWN_DENSITY = 0.5

@@ -81,7 +81,9 @@ def pose_cells(
         posed_body.astype(np.float32), centres, origin, np.float32(1 / POSED_CELL), dims, np.float32(reach),
         np.float32(APART), starts, distances,
     )  # fmt: skip
-    return PosedPart(posed_body.astype(np.float32), centres, posed_objects.astype(np.float32), starts, dims, origin, reach)
+    return PosedPart(
+        posed_body.astype(np.float32), centres, posed_objects.astype(np.float32), starts, dims, origin, reach
+    )
 
 
 def depth_spans(posed: PosedPart, figure: Figure, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -54,9 +54,7 @@ class PoseTable:
     slot_matrix: np.ndarray
 
 
-def make_pose_table(
-    model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None
-) -> PoseTable:
+def make_pose_table(model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None) -> PoseTable:
     """Builds posed start grids from an occupancy as it is now; the model's own where none is given."""
     occupancy = occupancy or model.occupancy
     parts = [model.occupied_cells(pose, occupancy) for pose in poses]
@@ -115,7 +113,13 @@ def trace(
     """
     origins, directions, near, far = rays
     occupancy = table.occupancy
-    cells = (occupancy.densities, occupancy.first[:-1], occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell))
+    cells = (
+        occupancy.densities,
+        occupancy.first[:-1],
+        occupancy.dims,
+        occupancy.origins,
+        np.float32(1 / occupancy.cell),
+    )
     grids = (table.starts, table.first[:-1], table.dims, table.origins, np.float32(1 / POSED_CELL))
     first = np.zeros(len(origins) + 1, dtype=np.int64)
     none = np.zeros(0, dtype=np.int32)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.data.dataset import Dataset, DatasetError
+from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person
 from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
@@ -92,14 +92,12 @@ class GridTrainer:
         self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
         self.groups = group_by_pose(dataset, image_scale)
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
-        carve_hull(
-            self.model, self.posed, [list(zip(group.views, group.pixels, strict=True)) for group in self.groups]
-        )
+        carve_hull(self.model, self.posed, [list(zip(group.views, group.pixels, strict=True)) for group in self.groups])
         empty = [part.name for part, count in self._occupied() if count == 0]
         if empty:
             raise DatasetError(
-                f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check cameras, "
-                "poses and masks with 'chona check-data'"
+                f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check "
+                "cameras, poses and masks with 'chona check-data'"
             )
         self._rebuild()
         self._make_optimisers()
@@ -108,8 +106,8 @@ class GridTrainer:
             for index, person in enumerate(self.model.persons)
         ]
 
-    def _occupied(self) -> list[tuple[object, int]]:
-        identities = [*self.model.persons, *self.model.objects]
+    def _occupied(self) -> list[tuple[Person | ObjectShape, int]]:
+        identities: list[Person | ObjectShape] = [*self.model.persons, *self.model.objects]
         return [(item, len(self.model.occupancy.occupied(part))) for part, item in enumerate(identities)]
 
     def _make_optimisers(self) -> None:
@@ -150,7 +148,9 @@ class GridTrainer:
         random = np.random.default_rng([self.seed, index])
         chosen = random.choice(self.usable, min(settings.poses, len(self.usable)), replace=False)
         batch = [self._draw(pose, settings.rays // len(chosen), random) for pose in chosen]
-        origins, directions, near, far, rgb, part, pose = (np.concatenate(column) for column in zip(*batch, strict=True))
+        origins, directions, near, far, rgb, part, pose = (
+            np.concatenate(column) for column in zip(*batch, strict=True)
+        )
         rays = len(origins)
         skinning = share >= settings.skin_from and index % settings.skin_every == 0
         figures = [self.posed[pose] for pose in chosen]
@@ -164,7 +164,9 @@ class GridTrainer:
             self.model, self.table, matrices, where, local, (origins, directions, near, far), pose,
             random.random(rays, dtype=np.float32), pairs, ray_pair, codes, settings.trace,
         )  # fmt: skip
-        background = np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
+        background = (
+            np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
+        )
         target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
         predicted = traced.out[:, :3] + (1.0 - traced.out[:, 3:4]) * torch.from_numpy(background)
         image_loss = ((predicted - torch.from_numpy(target)) ** 2).mean()
@@ -192,7 +194,7 @@ class GridTrainer:
         )  # fmt: skip
 
     def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, Tensor]:
-        """Pairs of identities in use and each ray's pair; CIL exchanges the part of the pair that a ray does not show."""
+        """Pairs of identities in use and each ray's pair; CIL exchanges what a ray does not show."""
         persons = torch.tensor([figure.person for figure in self.posed])[torch.from_numpy(pose).long()]
         things = torch.tensor([figure.objects[0] if figure.objects else -1 for figure in self.posed])
         objects = things[torch.from_numpy(pose).long()][:, None]
@@ -210,13 +212,13 @@ class GridTrainer:
         """λ L_w + β L_Δ: one-hot weights on the bones, offsets near zero."""
         total = torch.zeros(())
         for person in sorted({figure.person for figure in figures if figure.person >= 0}):
-            volume = self.model.volumes[person]
+            volume = self.model.volume(person)
             nodes, bones = self.bones[person]
-            weights = volume.logits[nodes].softmax(dim=1)  # type: ignore[index, union-attr]
+            weights = volume.logits[nodes].softmax(dim=1)
             one_hot = torch.nn.functional.one_hot(bones, weights.shape[1])
             total = total + self.settings.weight_loss * ((weights - one_hot) ** 2).mean()
             codes = np.stack([figure.code for figure in figures if figure.person == person])
-            offset = volume.offset(torch.as_tensor(codes, dtype=torch.float32))  # type: ignore[operator]
+            offset = volume.offset(torch.as_tensor(codes, dtype=torch.float32))
             if offset is not None:
                 total = total + self.settings.offset_loss * (offset**2).mean()
         return total

@@ -31,9 +31,7 @@ BONE_REACH = 0.20
 """The same without a body model, from the bones, metres."""
 
 
-def carve_hull(
-    model: GridModel, poses: Sequence[PosedFigure], views: Sequence[Sequence[tuple[View, Pixels]]]
-) -> None:
+def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[Sequence[tuple[View, Pixels]]]) -> None:
     """Sets the model's occupancy to the visual hull.
 
     Args:
@@ -56,7 +54,9 @@ def carve_hull(
                 matrix = camera_matrix(pose.figure, view.camera)
                 intrinsics = view.camera.intrinsics
                 carve(posed, matrix, intrinsics, mask, inside, seen)
-                carve(posed, matrix, intrinsics, pixels.person if is_person else pixels.object, own, np.zeros_like(seen))
+                carve(
+                    posed, matrix, intrinsics, pixels.person if is_person else pixels.object, own, np.zeros_like(seen)
+                )
         kept = (seen > 0) & (inside >= INSIDE_SHARE * seen) & (own >= OWN_SHARE * seen)
         occupancy.part(part)[:] = 0.0
         occupancy.part(part)[cells[kept]] = UNKNOWN_DENSITY

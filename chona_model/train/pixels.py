@@ -75,7 +75,8 @@ def make_pools(table: PoseTable, groups: Sequence[PoseViews]) -> list[list[ViewP
             part = pixels.person[rows, columns] + 2 * pixels.object[rows, columns].astype(np.int8)
             row.append(
                 ViewPool(
-                    view.camera, columns.astype(np.int16), rows.astype(np.int16), near[rows, columns], far[rows, columns],
+                    view.camera, columns.astype(np.int16), rows.astype(np.int16), near[rows, columns],
+                    far[rows, columns],
                     np.round(pixels.rgb[rows, columns] * 255).astype(np.uint8), part.astype(np.int8),
                 )
             )  # fmt: skip

@@ -102,7 +102,9 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
         state, position = load_checkpoint(out, identity)
         done, spent = int(position["step"]), float(position["seconds"])
         trainer.restore(state, done)
-    progress.start("train", budget or steps or 1, spent if budget is not None else done, "s" if budget is not None else "step")
+    progress.start(
+        "train", budget or steps or 1, spent if budget is not None else done, "s" if budget is not None else "step"
+    )
     log = (out / "log.jsonl").open("a" if run.resume else "w", encoding="utf-8")
     with log:
         began = time.perf_counter() - spent
@@ -128,7 +130,8 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
     save_checkpoint(out, trainer.state(), {"step": done, "seconds": spent}, identity)
     model = out / "model.safetensors"
     training = {"steps": done, "seconds": round(spent, 2), "poses": len({(v.sequence, v.frame) for v in dataset.views}),
-                "views": len(dataset.views), "data": run.data_statement, "finished": not progress.cancelled_by_user}  # fmt: skip
+                "views": len(dataset.views), "data": run.data_statement,
+                "finished": not progress.cancelled_by_user}  # fmt: skip
     save_actor(model, trainer.actor(), run.method, {"preset": run.preset, **settings}, training)
     if progress.cancelled_by_user:
         progress.cancelled(model=str(model), step=done)

@@ -128,9 +128,7 @@ def encode_backward_table(points, identity, grad_out, inverse_cells, dims, dense
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def encode_backward_points(
-    points, identity, table, grad_out, inverse_cells, dims, dense, rows_per_level, grad_points
-):
+def encode_backward_points(points, identity, table, grad_out, inverse_cells, dims, dense, rows_per_level, grad_points):
     """Gradient of the encoding with respect to the points, [M, 3], written; arguments as in ``encode``."""
     levels = table.shape[1]
     mask = np.uint32(rows_per_level - 1)

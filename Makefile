@@ -1,0 +1,15 @@
+# Every target makes what it needs. Windows and macOS without make: python3.11 scripts/dev.py TARGET
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+DEV = $(PYTHON) scripts/dev.py
+
+.PHONY: env test demo lint extension
+env:            ## .venv with .venv/bin/chona
+	$(DEV) env
+test:           ## lint, types and all tests but slow ones
+	$(DEV) test
+demo:           ## the whole job: capture, train, pose, bake, composite -> demo/out
+	$(DEV) demo
+lint:           ## ruff and mypy
+	$(DEV) lint
+extension:      ## dist/chona-VERSION.zip for Blender
+	$(DEV) extension
