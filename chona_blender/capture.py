@@ -101,7 +101,7 @@ class CaptureResult:
     dropped: tuple[str, ...]
 
 
-def capture_sequence(  # noqa: PLR0917 - callable from scripts
+def capture_sequence(
     scene: Scene,
     armature: Object,
     character_meshes: Sequence[Object],

@@ -40,7 +40,7 @@ class Shot:
     dropped: tuple[Dropped, ...]
 
 
-def sample_shot(  # noqa: PLR0917 - the order of write_shot
+def sample_shot(
     scene: Scene,
     armature: Object | None,
     empties: Mapping[str, Object | None],
@@ -178,7 +178,7 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             Path(temporary).unlink(missing_ok=True)
 
 
-def write_shot(  # noqa: PLR0917 - callable from scripts
+def write_shot(
     path: str | Path,
     scene: Scene,
     armature: Object | None,

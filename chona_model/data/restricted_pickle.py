@@ -128,7 +128,7 @@ class _Unpickler(pickle.Unpickler):
             return type(name, (_Chumpy,), {"label": f"{module}.{name}"})
         raise _Refused(f"{module}.{name}")
 
-    def persistent_load(self, pid: Any) -> Any:
+    def persistent_load(self, pid: Any) -> Any:  # noqa: ARG002 - the name is the base class's
         raise _Refused("a persistent id")
 
 

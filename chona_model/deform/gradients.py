@@ -16,7 +16,9 @@ from chona_model.geometry import inverse_3x3
 
 class _ImplicitRoot(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, root: Tensor, residual: Tensor, inverse: Tensor, usable: Tensor) -> Tensor:
+    def forward(  # the residual is there for its gradient alone
+        ctx: Any, root: Tensor, residual: Tensor, inverse: Tensor, usable: Tensor  # noqa: ARG004
+    ) -> Tensor:
         ctx.save_for_backward(inverse, usable)
         return root.clone()
 

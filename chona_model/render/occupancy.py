@@ -65,6 +65,9 @@ UNKNOWN_DENSITY = 0.5
 CULL_DENSITY = 2.5
 """Cells whose density stays below this are empty: 1 cm of it hides 2.5 % of what is behind, 1/m."""
 
+CULL_SHARE = 0.1
+"""… but only cells under this share of their part's greatest density: a field that has not formed yet stays whole."""
+
 FADE = 0.7
 """What is left of a cell's cached density at every update, unless the field renews it."""
 

@@ -16,7 +16,7 @@ from chona_model.grid_actor import GridActor
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.kernels.cpu.adam import adam_rows
 from chona_model.kernels.grid import FEATURES
-from chona_model.render.occupancy import CULL_DENSITY, FADE
+from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.tracing import TraceSettings, make_pose_table, trace
 from chona_model.train.hull import carve_hull
 from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
@@ -259,7 +259,8 @@ class GridTrainer:
             torch.zeros(len(points), dtype=torch.int64),
         )  # fmt: skip
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
-        occupancy.densities[own][cells] = np.where(cached < CULL_DENSITY, 0.0, cached)
+        limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
+        occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)
 
     def _usual_pair(self, part: int, pair: Tensor) -> Tensor:
         """A pair that training has seen with this part, since codes of absent identities may never be trained."""

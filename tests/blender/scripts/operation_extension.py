@@ -34,7 +34,7 @@ bpy.ops.preferences.addon_disable(module=name)
 answer["disabled"] = not hasattr(bpy.types.Scene, "chona")
 bpy.ops.preferences.addon_enable(module=name)
 answer["enabled again"] = hasattr(bpy.types.Scene, "chona")
-import addon_utils  # noqa: E402
+import addon_utils  # noqa: E402 - it needs bpy to be set up
 
 answer["warnings"] = str(getattr(addon_utils, "_extensions_warnings_get", dict)())
 say(answer)

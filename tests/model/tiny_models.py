@@ -1,0 +1,39 @@
+"""Grid models trained for a few seconds on the tiny capture, shared by the tests of a session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+from tiny_capture import tiny_capture
+
+from chona_model.data.dataset import Dataset
+from chona_model.field.grid import GridShape
+from chona_model.grid_model import GridModelShape
+from chona_model.render.tracing import TraceSettings
+from chona_model.train.grid_trainer import FastSettings, GridTrainer
+
+SHAPE = GridModelShape(
+    field=GridShape(levels=4, coarsest=0.12, finest=0.02, rows=12), node_cell=0.06, occupancy_cell=0.03
+)
+SETTINGS = replace(
+    FastSettings(), rays=256, poses=2, cull_from=32, cull_every=16, rebuild=(48, 96), trace=TraceSettings(step=0.02),
+    skin_from=0.3,
+)  # fmt: skip
+
+
+def tiny_trainer(dataset: Dataset, seed: int = 0, method: str = "chona") -> GridTrainer:
+    """A trainer of a small model."""
+    return GridTrainer(dataset, SETTINGS, seed, method=method, shape=SHAPE)
+
+
+@cache
+def trained(steps: int = 500, persons: int = 1, objects: int = 1) -> tuple[Dataset, GridTrainer]:
+    """A capture and a trainer after some steps."""
+    dataset = tiny_capture(Path(mkdtemp()), persons=persons, objects=objects, frames=3, cameras=4, size=(64, 48))
+    trainer = tiny_trainer(dataset)
+    for index in range(steps):
+        trainer.step(index, index / steps)
+    return dataset, trainer

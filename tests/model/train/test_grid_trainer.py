@@ -1,0 +1,97 @@
+"""Training of grid models: it learns, repeats, resumes, and separates identities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tiny_capture import tiny_capture
+from tiny_models import tiny_trainer, trained
+
+from chona_model.data.dataset import DatasetError, load_pixels
+from chona_model.evaluate.metrics import psnr
+from chona_model.settings import RENDER_PRESETS
+from chona_model.train.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+
+
+def test_learns_what_the_pictures_show() -> None:
+    dataset, trainer = trained()
+    actor = trainer.actor()
+    scores, empty = [], []
+    for view in dataset.views[::3]:
+        pixels = load_pixels(view)
+        picture = actor.render(view.pose, view.camera, RENDER_PRESETS["final"])
+        scores.append(psnr(np.clip(picture.rgb, 0, 1), pixels.rgb))
+        empty.append(psnr(np.zeros_like(pixels.rgb), pixels.rgb))
+    assert np.mean(scores) > np.mean(empty) + 8.0
+    assert np.mean(scores) > 19.0
+
+
+def test_mattes_follow_the_masks() -> None:
+    dataset, trainer = trained()
+    view = dataset.views[0]
+    pixels = load_pixels(view)
+    picture = trainer.actor().render(view.pose, view.camera, RENDER_PRESETS["final"])
+    assert picture.human[pixels.person].mean() > 0.8
+    assert picture.object[pixels.object].mean() > 0.8
+    assert picture.human[pixels.object].mean() < 0.2
+    assert picture.alpha[~pixels.mask].mean() < 0.05
+
+
+@pytest.fixture
+def capture(tmp_path):
+    return tiny_capture(tmp_path, persons=2, objects=2, frames=2, cameras=2, size=(32, 24))
+
+
+def test_the_same_seed_gives_the_same_model_and_resuming_changes_nothing(capture, tmp_path) -> None:
+    whole, broken = tiny_trainer(capture), tiny_trainer(capture)
+    for index in range(60):
+        whole.step(index, index / 60)
+    for index in range(37):
+        broken.step(index, index / 60)
+    settings = {"preset": "fast", "seed": 0}
+    save_checkpoint(tmp_path, broken.state(), {"step": 37, "seconds": 1.0}, settings)
+    state, position = load_checkpoint(tmp_path, settings)
+    resumed = tiny_trainer(capture)
+    resumed.restore(state, position["step"])
+    for index in range(position["step"], 60):
+        resumed.step(index, index / 60)
+    expected, got = whole.state(), resumed.state()
+    assert expected.keys() == got.keys()
+    for name, value in expected.items():
+        assert torch.equal(value, got[name]), name
+
+
+def test_a_checkpoint_of_other_settings_is_refused(capture, tmp_path) -> None:
+    trainer = tiny_trainer(capture)
+    save_checkpoint(tmp_path, trainer.state(), {"step": 1, "seconds": 1.0}, {"preset": "fast", "seed": 0})
+    with pytest.raises(CheckpointError, match="seed was 0, is 1"):
+        load_checkpoint(tmp_path, {"preset": "fast", "seed": 1})
+    with pytest.raises(CheckpointError, match="cannot continue"):
+        load_checkpoint(tmp_path / "elsewhere", {})
+
+
+def test_invariant_learning_exchanges_the_code_that_a_ray_does_not_show(capture) -> None:
+    trainer = tiny_trainer(capture)
+    pose = np.zeros(300, dtype=np.int32)
+    part = np.repeat([0, 1, 2], 100)
+    figure = trainer.posed[0]
+    pairs, index = trainer._identities(pose, part, 5)
+    drawn = pairs[index]
+    assert (drawn[:100] == torch.tensor([figure.person, figure.objects[0]])).all()
+    assert (drawn[100:200, 0] == figure.person).all()
+    assert set(drawn[100:200, 1].tolist()) == {0, 1}
+    assert (drawn[200:, 1] == figure.objects[0]).all()
+    assert set(drawn[200:, 0].tolist()) == {0, 1}
+    plain = tiny_trainer(capture, method="no-cil")
+    pairs, index = plain._identities(pose, part, 5)
+    assert (pairs[index] == torch.tensor([figure.person, figure.objects[0]])).all()
+
+
+def test_masks_without_a_hull_are_refused(tmp_path) -> None:
+    dataset = tiny_capture(tmp_path)
+    for view in dataset.views:
+        Image.fromarray(np.zeros((24, 32), dtype=np.uint8)).save(view.person_mask)
+    with pytest.raises(DatasetError, match="no room for Sub01.*check-data"):
+        tiny_trainer(dataset)
