@@ -112,7 +112,7 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
     check_exr(path)
     try:
         with OpenEXR.File(str(path)) as file:
-            attributes = file.header()
+            attributes = dict(file.header())  # its own is emptied when the file closes
             pixels = {name: channel.pixels.astype(np.float32) for name, channel in file.channels().items()}
         layers = FrameLayers(
             pixels[f"{LAYER}.Combined"],
