@@ -1,0 +1,8 @@
+"""Helpers of the model's tests can be imported here too."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "model"))
