@@ -204,7 +204,9 @@ def render_still(scene: Scene, camera: Object, path: Path) -> None:
     """
     scene.camera = camera
     scene.render.filepath = str(path)
-    bpy.ops.render.render(scene=scene.name, write_still=True)
+    # The operator's own argument `scene` renders another scene than the window's without moving it to its frame.
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.render.render(write_still=True)
     if not path.exists():
         raise ChonaError(
             f"Blender rendered camera '{camera.name}' but wrote no '{path.name}'. Look for its message in the console"

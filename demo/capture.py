@@ -1,4 +1,4 @@
-"""Demo stage 1, in Blender: builds Robin and the crate, animates two performances and captures them from four cameras."""
+"""Demo stage 1, in Blender: Robin and the crate in two performances, captured from four cameras."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def main() -> None:
         key_performance(armature, carrier, performance(name), frames)
         settings = CaptureSettings(
             arguments.folder, PERSON, OBJECT, frames, f"{PERSON}_{OBJECT}_{name}", cameras, width=arguments.width,
-            height=arguments.height, samples=arguments.samples, mask_samples=8, names=BONES, parents=PARENTS,
+            height=arguments.height, samples=arguments.samples, mask_samples=4, names=BONES, parents=PARENTS,
         )  # fmt: skip
         capture_sequence(scene, armature, [body], [crate], carrier, settings)
         sequences.append(settings.sequence_name)

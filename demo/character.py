@@ -32,9 +32,7 @@ def build_armature(collection: bpy.types.Collection) -> bpy.types.Object:
     return rig
 
 
-def build_character(
-    collection: bpy.types.Collection, step: float = 0.0075
-) -> tuple[bpy.types.Object, bpy.types.Object]:
+def build_character(collection: bpy.types.Collection, step: float = 0.01) -> tuple[bpy.types.Object, bpy.types.Object]:
     """Armature and mesh, linked into the collection.
 
     Args:

@@ -155,7 +155,7 @@ def _blend(keys: list[tuple[float, Stance]], time: float) -> Stance:
     share = float(np.clip((time - start) / (stop - start), 0.0, 1.0))
     share = share * share * (3.0 - 2.0 * share)
 
-    def mix(first, second):  # noqa: ANN001, ANN202 - numbers or tuples of them
+    def mix(first, second):  # numbers or tuples of them
         return (1.0 - share) * np.asarray(first) + share * np.asarray(second)
 
     values = {name: mix(getattr(one, name), getattr(other, name)) for name in Stance.__dataclass_fields__}

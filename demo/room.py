@@ -14,6 +14,10 @@ from demo.meshes import material, mesh_object, packed_image
 Place = tuple[float, float, float]
 
 
+STOOL = (0.22, -1.0)
+"""Where the stool stands on the floor, metres: between the camera and the figure's legs."""
+
+
 def aim(item: bpy.types.Object, target: Place) -> None:
     """Turns a camera or light so that it looks at a point."""
     item.rotation_euler = (Vector(target) - item.location).to_track_quat("-Z", "Y").to_euler()
@@ -125,12 +129,13 @@ def build_room(scene: bpy.types.Scene) -> bpy.types.Collection:
         turn, high = 2.4 * number, 0.55 + 0.06 * number
         place = (1.15 + 0.16 * np.cos(turn), 0.9 + 0.16 * np.sin(turn), high)
         ball(room, "leaf", (0.13, 0.13, 0.09), place, leaf)
-    block(room, "stool seat", (0.42, 0.34, 0.05), (-0.62, -0.78, 0.46), walnut, 15.0)
-    for x, y in ((-0.78, -0.92), (-0.46, -0.84), (-0.80, -0.68), (-0.48, -0.62)):
-        block(room, "stool leg", (0.04, 0.04, 0.44), (x, y, 0.22), walnut)
-    block(room, "book", (0.26, 0.19, 0.05), (-0.64, -0.79, 0.51), clay, 30.0)
-    block(room, "book", (0.24, 0.17, 0.04), (-0.62, -0.78, 0.555), blue, 5.0)
-    ball(room, "vase", (0.075, 0.075, 0.13), (-0.62, -0.78, 0.70), cream)
+    x, y = STOOL
+    block(room, "stool seat", (0.42, 0.34, 0.05), (x, y, 0.46), walnut, 15.0)
+    for dx, dy in ((-0.16, -0.14), (0.16, -0.06), (-0.18, 0.10), (0.14, 0.16)):
+        block(room, "stool leg", (0.04, 0.04, 0.44), (x + dx, y + dy, 0.22), walnut)
+    block(room, "book", (0.26, 0.19, 0.05), (x - 0.02, y - 0.01, 0.51), clay, 30.0)
+    block(room, "book", (0.24, 0.17, 0.04), (x, y, 0.555), blue, 5.0)
+    ball(room, "vase", (0.075, 0.075, 0.13), (x, y, 0.70), cream)
     return room
 
 

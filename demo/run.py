@@ -28,9 +28,9 @@ class Sizes:
         captured: frames of each of the two performances; frames: of the shot; minutes: of training.
     """
 
-    width: int = 384
-    height: int = 288
-    capture_samples: int = 16
+    width: int = 320
+    height: int = 240
+    capture_samples: int = 12
     samples: int = 16
     captured: int = 10
     frames: int = 16
@@ -130,8 +130,8 @@ def summary(out: Path, seconds: dict[str, float]) -> str:
         [
             "demo: done",
             *lines,
-            f"  against Cycles' render of the same frames: {report['psnr']:.2f} dB, SSIM {report['ssim']:.4f}; over the "
-            f"figure's pixels {report['psnr_figure']:.2f} dB",
+            f"  against Cycles' render of the same frames: {report['psnr']:.2f} dB, SSIM {report['ssim']:.4f}; over "
+            f"the figure's pixels {report['psnr_figure']:.2f} dB",
             f"  look at {out / 'contact_sheet.png'}, {out / 'demo.gif'}; open {out / 'scene.blend'}",
             "",
         ]

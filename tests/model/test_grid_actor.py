@@ -30,11 +30,11 @@ def render(scene, **changes):
 
 
 BOUNDS = {
-    "step": (dict(step=0.008), 34.0),
-    "stop": (dict(stop=0.003), 50.0),
-    "occupancy": (dict(occupancy=True), 30.0),
-    "newton_steps": (dict(newton_steps=4), 50.0),
-    "supersampling": (dict(supersampling=2), 30.0),
+    "step": ({"step": 0.008}, 34.0),
+    "stop": ({"stop": 0.003}, 50.0),
+    "occupancy": ({"occupancy": True}, 30.0),
+    "newton_steps": ({"newton_steps": 4}, 50.0),
+    "supersampling": ({"supersampling": 2}, 30.0),
 }
 """Each shortcut's change to the exact settings and the least PSNR against them, dB."""
 
@@ -72,11 +72,10 @@ def test_where_the_figure_stands_does_not_matter(scene, metres: float) -> None:
     move = np.eye(4)
     move[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
     move[:3, 3] = metres * np.array([1.0, -0.5, 0.2])
-    pose = Pose(view.pose.person, view.pose.objects, move @ view.pose.world_from_bone, move @ view.pose.world_from_object)
+    bones, things = move @ view.pose.world_from_bone, move @ view.pose.world_from_object
+    pose = Pose(view.pose.person, view.pose.objects, bones, things)
     camera = replace(view.camera, world_from_camera=move @ view.camera.world_from_camera)
-    here, there = (
-        actor.render(p, c, RENDER_PRESETS["final"]) for p, c in ((view.pose, view.camera), (pose, camera))
-    )
+    here, there = (actor.render(p, c, RENDER_PRESETS["final"]) for p, c in ((view.pose, view.camera), (pose, camera)))
     assert np.abs(here.rgb - there.rgb).max() < 1e-3
     seen = here.alpha > 0.5
     np.testing.assert_allclose(here.depth[seen], there.depth[seen], atol=1e-3)
@@ -130,9 +129,7 @@ def test_orthographic_cameras_see_the_same_figure(scene) -> None:
         pose = view.camera.world_from_camera.copy()
         pose[:3, 3] = np.array([0.0, -0.15, 0.05]) - distance * axis
         focal = scale if kind == ORTHOGRAPHIC else scale * distance
-        return Camera(
-            np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), pose, width, height, kind
-        )
+        return Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), pose, width, height, kind)
 
     flat = actor.render(view.pose, camera(5.0, ORTHOGRAPHIC), RENDER_PRESETS["exact"])
     far = actor.render(view.pose, camera(5000.0, "PERSP"), RENDER_PRESETS["exact"])

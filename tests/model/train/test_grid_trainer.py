@@ -93,5 +93,5 @@ def test_masks_without_a_hull_are_refused(tmp_path) -> None:
     dataset = tiny_capture(tmp_path)
     for view in dataset.views:
         Image.fromarray(np.zeros((24, 32), dtype=np.uint8)).save(view.person_mask)
-    with pytest.raises(DatasetError, match="no room for Sub01.*check-data"):
+    with pytest.raises(DatasetError, match="no room for Sub01"):
         tiny_trainer(dataset)
