@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from PIL import Image
 from torch import Tensor
 
 from chona_model.camera import Camera
@@ -46,6 +47,22 @@ def empty_picture(camera: Camera) -> Picture:
     return Picture(
         np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.full(size, EMPTY_DEPTH, np.float32),
         np.zeros(size, np.float32), np.zeros(size, np.float32), np.ones(size, np.float32), 0, 0.0,
+    )  # fmt: skip
+
+
+def enlarge(picture: Picture, camera: Camera) -> Picture:
+    """A picture rendered at a share of the resolution, interpolated to ``camera``'s; depths of nothing stay so."""
+
+    def resize(channel: np.ndarray, method: Image.Resampling) -> np.ndarray:
+        return np.asarray(Image.fromarray(channel).resize((camera.width, camera.height), method))
+
+    linear, nearest = Image.Resampling.BILINEAR, Image.Resampling.NEAREST
+    alpha = resize(picture.alpha, linear)
+    depth = np.where(alpha > 0, resize(picture.depth, nearest), np.float32(EMPTY_DEPTH))
+    return Picture(
+        np.stack([resize(np.ascontiguousarray(picture.rgb[..., k]), linear) for k in range(3)], axis=-1), alpha, depth,
+        resize(picture.human, linear), resize(picture.object, linear), resize(picture.confidence, linear),
+        picture.rays, picture.failed_share,
     )  # fmt: skip
 
 

@@ -142,7 +142,7 @@ class ExactModel(nn.Module):
         with torch.set_grad_enabled(self.training and torch.is_grad_enabled()):
             parts = [
                 self._render(
-                    _take(rays, rows),
+                    take_rays(rays, rows),
                     edges[rows],
                     poses,
                     codes=(persons[rows], objects[rows]),
@@ -177,7 +177,7 @@ class ExactModel(nn.Module):
         result = _empty(rays, sound, settings.samples)
         if len(hit) == 0:
             return result
-        part, edges = _take(rays, hit), edges[hit]
+        part, edges = take_rays(rays, hit), edges[hit]
         frusta = cylinders if orthographic else conical_frusta
         depths, means, covariances = frusta(part.origins, part.directions, part.radii, edges)
         identity = self.codes(codes[0][hit], codes[1][hit])
@@ -267,7 +267,8 @@ def _carry(covariances: Tensor, jacobians: Tensor, settings: ExactSettings) -> T
     return inverse @ covariances @ inverse.transpose(-1, -2)
 
 
-def _take(rays: RayBatch, rows: Tensor) -> RayBatch:
+def take_rays(rays: RayBatch, rows: Tensor) -> RayBatch:
+    """The rays with these indices."""
     return RayBatch(**{name: getattr(rays, name)[rows] for name in RayBatch.__dataclass_fields__})
 
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
+from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture, enlarge
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
@@ -193,19 +192,3 @@ def _picture(
     empty.confidence[rows, columns] = 1.0 - failed / np.maximum(tried, 1.0)
     share = float(failed.sum() / max(tried.sum(), 1.0))
     return Picture(empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), share)
-
-
-def enlarge(picture: Picture, camera: Camera) -> Picture:
-    """A picture rendered at a share of the resolution, interpolated to ``camera``'s; depths of nothing stay so."""
-
-    def resize(channel: np.ndarray, method: Image.Resampling) -> np.ndarray:
-        return np.asarray(Image.fromarray(channel).resize((camera.width, camera.height), method))
-
-    linear, nearest = Image.Resampling.BILINEAR, Image.Resampling.NEAREST
-    alpha = resize(picture.alpha, linear)
-    depth = np.where(alpha > 0, resize(picture.depth, nearest), np.float32(EMPTY_DEPTH))
-    return Picture(
-        np.stack([resize(np.ascontiguousarray(picture.rgb[..., k]), linear) for k in range(3)], axis=-1), alpha, depth,
-        resize(picture.human, linear), resize(picture.object, linear), resize(picture.confidence, linear),
-        picture.rays, picture.failed_share,
-    )  # fmt: skip

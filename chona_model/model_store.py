@@ -59,7 +59,9 @@ def load_actor(path: Path, device: str = "cpu") -> Actor:
         if header.field == "exact":
             from chona_model.exact_actor import ExactActor
 
-            return ExactActor.rebuild(header.shape, tensors, device)
+            return ExactActor.rebuild(
+                header.skeleton, persons, objects, header.object_distance, header.shape, tensors, device
+            )
     except (SafetensorError, KeyError, TypeError, RuntimeError) as error:
         raise ModelFileError(f"{path} does not hold the tensors its metadata names ({error}); copy it again") from error
     raise ModelFileError(f"{path} holds a field of kind '{header.field}', this program knows grid and exact: update it")

@@ -17,7 +17,11 @@ from chona_model.geometry import inverse_3x3
 class _ImplicitRoot(torch.autograd.Function):
     @staticmethod
     def forward(  # the residual is there for its gradient alone
-        ctx: Any, root: Tensor, residual: Tensor, inverse: Tensor, usable: Tensor  # noqa: ARG004
+        ctx: Any,
+        root: Tensor,
+        residual: Tensor,  # noqa: ARG004
+        inverse: Tensor,
+        usable: Tensor,
     ) -> Tensor:
         ctx.save_for_backward(inverse, usable)
         return root.clone()

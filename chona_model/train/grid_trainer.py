@@ -18,12 +18,10 @@ from chona_model.kernels.cpu.adam import adam_rows
 from chona_model.kernels.grid import FEATURES
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.train.errors import TrainingError
 from chona_model.train.hull import carve_hull
+from chona_model.train.objects import object_distance
 from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
-
-
-class TrainingError(ValueError):
-    """Training that cannot go on: the message says at which step, why, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -298,9 +296,3 @@ class GridTrainer:
         self.model.occupancy.densities[:] = state["occupancy"].numpy()
         if any(step <= done for step in self.settings.rebuild):
             self._rebuild()
-
-
-def object_distance(dataset: Dataset) -> float:
-    """How far in front of the root objects stand in canonical space: clear of the body, metres."""
-    radii = [float(np.linalg.norm(np.maximum(np.abs(o.lower), np.abs(o.upper)))) for o in dataset.objects.values()]
-    return 0.5 + max(radii, default=0.5)

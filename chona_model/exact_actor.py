@@ -1,0 +1,162 @@
+"""The actor of preset ``paper``: renders an ``ExactModel`` under render settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture, enlarge
+from chona_model.camera import ORTHOGRAPHIC, Camera
+from chona_model.data.dataset import ObjectShape, Person, Pose
+from chona_model.exact import ExactModel
+from chona_model.exact_shape import ExactShape
+from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, Rig, make_figure, to_pose_batch
+from chona_model.render.bounds import figure_spans
+from chona_model.settings import RenderSettings
+from chona_model.skeleton import Skeleton
+
+CONE = 2.0 / 12.0**0.5
+"""mip-NeRF's base radius, in pixel widths: a disc with the variance of the square pixel."""
+
+
+class ExactActor:
+    """A trained ``ExactModel`` with the identities it knows.
+
+    Args:
+        model: the paper's networks; skeleton, persons, objects, object_distance: what they were trained on.
+    """
+
+    kind = "exact"
+
+    def __init__(
+        self, model: ExactModel, skeleton: Skeleton, persons: Mapping[str, Person], objects: Mapping[str, ObjectShape],
+        object_distance: float,
+    ) -> None:  # fmt: skip
+        self.model, self.skeleton, self.object_distance = model, skeleton, object_distance
+        self.persons, self.objects = persons, objects
+
+    def rig(self, person: str | None) -> Rig:
+        """The rig of a person; of none, one with joints at the origin, for objects alone.
+
+        Raises:
+            KeyError: the model does not know the person; the message names those it knows.
+        """
+        if person is None:
+            return Rig(self.skeleton, np.zeros((len(self.skeleton), 3)), self.object_distance)
+        if person not in self.persons:
+            raise KeyError(f"the model has no person '{person}'; it has: {', '.join(self.persons) or 'none'}")
+        return Rig(self.skeleton, self.persons[person].rest_joints, self.object_distance)
+
+    def figure(self, pose: Pose) -> tuple[Figure, Rig, PoseBatch]:
+        """A pose in root space, its rig, and as tensors.
+
+        Raises:
+            KeyError: the model does not know the person or an object.
+        """
+        rig = self.rig(pose.person)
+        unknown = [name for name in pose.objects if name not in self.objects]
+        if unknown:
+            raise KeyError(f"the model has no object '{unknown[0]}'; it has: {', '.join(self.objects) or 'none'}")
+        slots = self.model.shape.object_slots
+        figure = make_figure(rig, pose.world_from_bone if pose.person else None, pose.world_from_object, slots)
+        person = list(self.persons).index(pose.person) if pose.person else -1
+        things = [list(self.objects).index(name) for name in pose.objects] + [-1] * (slots - len(pose.objects))
+        parameter = next(self.model.parameters())
+        poses = to_pose_batch([figure], [rig], [person], [things], parameter.dtype, parameter.device)
+        return figure, rig, poses
+
+    def boxes(self, objects: Sequence[str]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Corners of the objects' boxes in their own frames, metres."""
+        return [(np.asarray(self.objects[name].lower), np.asarray(self.objects[name].upper)) for name in objects]
+
+    def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
+        """Renders a view; pixels whose rays miss the figure's bounds cost nothing."""
+        if settings.resolution < 1.0:
+            small = camera.scaled(settings.resolution)
+            return enlarge(self._render(pose, small, settings), camera)
+        return self._render(pose, camera, settings)
+
+    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
+        figure, rig, poses = self.figure(pose)
+        near, far = figure_spans(figure, rig, self.boxes(pose.objects), camera)
+        rows, columns = np.nonzero(far > near)
+        if len(rows) == 0:
+            return empty_picture(camera)
+        side = settings.supersampling
+        self.model.eval()
+        results = []
+        for sub in range(side**2):
+            shift = (np.array([sub % side, sub // side]) + 0.5) / side
+            rays = make_rays(
+                figure, camera, np.stack([columns, rows], axis=-1) + shift, near[rows, columns], far[rows, columns],
+                next(self.model.parameters()), pose=0, sharpness=side,
+            )  # fmt: skip
+            count = len(rows)
+            persons, things = poses.persons.expand(count), poses.objects.expand(count, -1)
+            results.append(
+                self.model.render_rays(
+                    rays, poses, persons, things, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC
+                )
+            )
+        return _picture(camera, rows, columns, results)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Parameters by name."""
+        return {name: value.detach().contiguous() for name, value in self.model.state_dict().items()}
+
+    def shape(self) -> dict[str, Any]:
+        """Sizes of the networks."""
+        return self.model.shape.as_dict()
+
+    @classmethod
+    def rebuild(
+        cls, skeleton: Skeleton, persons: Mapping[str, Person], objects: Mapping[str, ObjectShape],
+        object_distance: float, shape: dict[str, Any], tensors: Mapping[str, Tensor], device: str = "cpu",
+    ) -> ExactActor:  # fmt: skip
+        """Inverse of ``shape`` and ``tensors``."""
+        model = ExactModel(ExactShape.from_dict(shape))
+        model.load_state_dict(dict(tensors))
+        return cls(model.to(device), skeleton, persons, objects, object_distance)
+
+
+def make_rays(
+    figure: Figure, camera: Camera, pixels: np.ndarray, near: np.ndarray, far: np.ndarray, like: Tensor, *, pose: int,
+    sharpness: float = 1.0,
+) -> RayBatch:  # fmt: skip
+    """Rays through pixels [R, 2] with cones of a pixel's width over ``sharpness``, in ``like``'s dtype and device."""
+    origins, directions = figure.rays(camera, pixels)
+    count = len(pixels)
+
+    def real(array: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(array), dtype=like.dtype, device=like.device)
+
+    radius = CONE / (camera.intrinsics[0, 0] * sharpness)
+    return RayBatch(
+        real(origins), real(directions), real(np.full(count, radius)), real(near), real(far),
+        torch.full((count,), pose, dtype=torch.int64, device=like.device),
+    )  # fmt: skip
+
+
+def _picture(camera: Camera, rows: np.ndarray, columns: np.ndarray, results: Sequence[RayResult]) -> Picture:
+    """Averages subpixel rays; depth over those that hit something, weighted by their alpha."""
+    empty = empty_picture(camera)
+
+    def mean(name: str) -> np.ndarray:
+        return np.mean([getattr(result, name).float().cpu().numpy() for result in results], axis=0)
+
+    alphas = np.stack([result.alpha.float().cpu().numpy() for result in results])
+    depths = np.stack([result.depth.float().cpu().numpy() for result in results])
+    total = alphas.sum(axis=0)
+    depth = np.full(len(rows), EMPTY_DEPTH, dtype=np.float32)
+    solid = total > 0
+    depth[solid] = (np.where(alphas > 0, depths, 0.0) * alphas).sum(axis=0)[solid] / total[solid]
+    empty.rgb[rows, columns], empty.alpha[rows, columns] = mean("rgb"), mean("alpha")
+    empty.depth[rows, columns] = depth
+    empty.human[rows, columns], empty.object[rows, columns] = mean("human"), mean("object")
+    empty.confidence[rows, columns] = mean("confidence")
+    failed = float(np.mean([float(result.failed_share) for result in results]))
+    return Picture(empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), failed)
