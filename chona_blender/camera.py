@@ -71,8 +71,12 @@ def image_format(scene: Scene) -> ImageFormat:
     full_height = max(1, render.resolution_y * render.resolution_percentage // 100)
     left, right, bottom, top = 0, full_width, 0, full_height
     if render.use_border and render.use_crop_to_border:
-        left, right = int(render.border_min_x * full_width), int(render.border_max_x * full_width)
-        bottom, top = int(render.border_min_y * full_height), int(render.border_max_y * full_height)
+        # Blender multiplies in single precision and drops the fraction: 0.9 of 120 pixels must be 108, not 107.
+        borders = (render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y)
+        sizes = (full_width, full_width, full_height, full_height)
+        left, right, bottom, top = (
+            int(np.float32(border) * np.float32(size)) for border, size in zip(borders, sizes, strict=True)
+        )
         if right <= left or top <= bottom:
             raise ChonaError(
                 f"The render border of scene '{scene.name}' is {right - left}x{top - bottom} pixels. Enlarge it or "

@@ -27,7 +27,7 @@ CASES: dict[str, dict] = {
     "shift": {"shift": (0.11, -0.07)},
     "shift, portrait": {"shift": (-0.09, 0.06), "size": (90, 120)},
     "shift, fit vertical": {"shift": (0.08, 0.05), "sensor_fit": "VERTICAL"},
-    "wide pixels": {"aspect": (2.0, 1.0)},
+    "wide pixels": {"aspect": (2.0, 1.0), "lens": 24.0},
     "tall pixels, shift": {"aspect": (1.0, 1.5), "shift": (0.06, 0.04)},
     "tall pixels, fit vertical": {"aspect": (1.0, 1.4), "sensor_fit": "VERTICAL"},
     "percentage": {"percentage": 57, "size": (160, 121)},
@@ -64,7 +64,7 @@ scene.render.image_settings.file_format = "PNG"
 answer: dict = {}
 for name, case in CASES.items():
     data.type = case.get("kind", "PERSP")
-    data.lens, data.ortho_scale = 42.0, 2.2
+    data.lens, data.ortho_scale = case.get("lens", 42.0), 2.2
     data.sensor_fit = case.get("sensor_fit", "AUTO")
     data.sensor_width, data.sensor_height = 36.0, case.get("sensor_height", 24.0)
     data.shift_x, data.shift_y = case.get("shift", (0.0, 0.0))
