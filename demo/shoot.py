@@ -65,6 +65,7 @@ def main() -> None:
     seconds["bake"] = time.perf_counter() - start
     start = time.perf_counter()
     _render(scene, arguments.out / "composite")
+    bpy.ops.file.make_paths_relative()
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     seconds["composite"] = time.perf_counter() - start
 

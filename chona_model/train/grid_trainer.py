@@ -45,8 +45,8 @@ class FastSettings:
     poses: int = 4
     grid_rate: float = 1e-2
     mlp_rate: float = 2e-3
-    skin_rate: float = 1e-3
-    offset_rate: float = 1e-4
+    skin_rate: float = 2e-4
+    offset_rate: float = 1e-5
     last_rate: float = 0.03
     weight_loss: float = 1.0
     offset_loss: float = 0.1
@@ -125,6 +125,9 @@ class GridTrainer:
         self.mean, self.square = (np.zeros(field.table.shape, dtype=np.float32) for _ in range(2))
 
     def _rebuild(self) -> None:
+        """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
+        self.built_from = {name: value.detach().clone() for name, value in self.model.volumes.state_dict().items()}
+        self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
         self.table = make_pose_table(self.model, self.posed)
         self.pools = make_pools(self.table, self.groups)
         self.usable = np.array([index for index, row in enumerate(self.pools) if row])
@@ -275,6 +278,7 @@ class GridTrainer:
     def state(self) -> dict[str, Tensor]:
         """Everything that later steps depend on."""
         state = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        state |= {f"built.{name}": value for name, value in self.built_from.items()}
         state["occupancy"] = torch.from_numpy(self.model.occupancy.densities)
         state["grid.mean"], state["grid.square"] = torch.from_numpy(self.mean), torch.from_numpy(self.square)
         for number, values in self.optimiser.state_dict()["state"].items():
@@ -282,8 +286,12 @@ class GridTrainer:
                 state[f"adam.{number}.{name}"] = value
         return {name: value.detach().clone().contiguous() for name, value in state.items()}
 
-    def restore(self, state: dict[str, Tensor], done: int) -> None:
-        """Continues from ``state`` after ``done`` steps."""
+    def restore(self, state: dict[str, Tensor], done: int) -> None:  # noqa: ARG002 - the loop's interface
+        """Continues from ``state``."""
+        built = {name.removeprefix("built."): value for name, value in state.items() if name.startswith("built.")}
+        self.model.occupancy.densities[:] = built.pop("densities").numpy()
+        self.model.volumes.load_state_dict(built)
+        self._rebuild()
         self.model.load_state_dict({name[6:]: value for name, value in state.items() if name.startswith("model.")})
         self.mean[:], self.square[:] = state["grid.mean"].numpy(), state["grid.square"].numpy()
         adam: dict[int, dict[str, Tensor]] = {}
@@ -294,5 +302,3 @@ class GridTrainer:
         content = self.optimiser.state_dict()
         self.optimiser.load_state_dict({"state": adam, "param_groups": content["param_groups"]})
         self.model.occupancy.densities[:] = state["occupancy"].numpy()
-        if any(step <= done for step in self.settings.rebuild):
-            self._rebuild()

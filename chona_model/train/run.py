@@ -109,7 +109,7 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
     with log:
         began = time.perf_counter() - spent
         saved = time.perf_counter()
-        warm = done > 0
+        warm, report = done > 0, {}
         while not progress.cancelled_by_user:
             share = spent / budget if budget is not None else done / max(steps or 1, 1)
             if share >= 1.0:
@@ -127,6 +127,8 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
                 log.flush()
                 save_checkpoint(out, trainer.state(), {"step": done, "seconds": spent}, identity)
                 saved = time.perf_counter()
+        if report:
+            progress.update(round(min(spent, budget), 2) if budget is not None else done, f"step {done}", **report)
     save_checkpoint(out, trainer.state(), {"step": done, "seconds": spent}, identity)
     model = out / "model.safetensors"
     training = {"steps": done, "seconds": round(spent, 2), "poses": len({(v.sequence, v.frame) for v in dataset.views}),

@@ -44,14 +44,16 @@ def capture(tmp_path):
     return tiny_capture(tmp_path, persons=2, objects=2, frames=2, cameras=2, size=(32, 24))
 
 
-def test_the_same_seed_gives_the_same_model_and_resuming_changes_nothing(capture, tmp_path) -> None:
+@pytest.mark.parametrize("stop", [37, 55])
+def test_the_same_seed_gives_the_same_model_and_resuming_changes_nothing(capture, tmp_path, stop: int) -> None:
+    """``stop`` lies before and after the posed grids were made anew."""
     whole, broken = tiny_trainer(capture), tiny_trainer(capture)
     for index in range(60):
         whole.step(index, index / 60)
-    for index in range(37):
+    for index in range(stop):
         broken.step(index, index / 60)
     settings = {"preset": "fast", "seed": 0}
-    save_checkpoint(tmp_path, broken.state(), {"step": 37, "seconds": 1.0}, settings)
+    save_checkpoint(tmp_path, broken.state(), {"step": stop, "seconds": 1.0}, settings)
     state, position = load_checkpoint(tmp_path, settings)
     resumed = tiny_trainer(capture)
     resumed.restore(state, position["step"])
