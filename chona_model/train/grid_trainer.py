@@ -34,6 +34,8 @@ class FastSettings:
         weight_loss, offset_loss: the paper's λ and β.
         skin_from: share of the schedule before which skinning keeps its initial weights; skin_every: steps between
             gradients through the root finder.
+        refine_given_weights: whether weights that came from a body model are learned further; those guessed from bones
+            always are.  Measured on a novel action, ten minutes of refining cost quality (docs/accuracy.md).
         random_background: composite prediction and target over one random colour a ray, so that dark clothes are
             told from an empty background; black otherwise, as in the paper.
         cull_from, cull_every: first step at which occupancy follows the density, and how often.
@@ -52,6 +54,7 @@ class FastSettings:
     offset_loss: float = 0.1
     skin_from: float = 0.25
     skin_every: int = 2
+    refine_given_weights: bool = False
     random_background: bool = True
     cull_from: int = 128
     cull_every: int = 64
@@ -87,6 +90,8 @@ class GridTrainer:
         self.settings, self.seed, self.method = settings, seed, method
         slots = max((len(view.pose.objects) for view in dataset.views), default=0)
         shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
+        guessed = any(person.surface is None for person in dataset.persons.values())
+        self.learns_skinning = guessed or settings.refine_given_weights
         self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
         self.groups = group_by_pose(dataset, image_scale)
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
@@ -153,7 +158,7 @@ class GridTrainer:
             np.concatenate(column) for column in zip(*batch, strict=True)
         )
         rays = len(origins)
-        skinning = share >= settings.skin_from and index % settings.skin_every == 0
+        skinning = self.learns_skinning and share >= settings.skin_from and index % settings.skin_every == 0
         figures = [self.posed[pose] for pose in chosen]
         with torch.set_grad_enabled(skinning):
             matrices, where = self.model.matrices(figures)
