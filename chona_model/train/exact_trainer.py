@@ -26,12 +26,17 @@ BODY_MARGIN = 0.22
 """Canonical space reaches this far beyond joints and surface, metres."""
 
 
+MIN_RAYS = 64
+"""Rays of a step, however small the images."""
+
+
 @dataclass(frozen=True)
 class PaperSettings:
     """The paper's choices.
 
     Attributes:
-        rays: a step, of one image (BEHAVE's number).
+        rays: a step, of one image at full size (BEHAVE's number); images of a share of the size take their share of
+            the rays, at least ``MIN_RAYS``.
         first_rate, last_rate: Adam's, falling exponentially.
         weight_loss, offset_loss: λ and β.
         exact: the exact path's settings.
@@ -81,6 +86,7 @@ class ExactTrainer:
     ) -> None:  # fmt: skip
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
+        self.rays = max(MIN_RAYS, round(settings.rays * image_scale**2))
         distance = object_distance(dataset)
         model = ExactModel(shape or make_shape(dataset, distance)).to(device)
         persons, objects = dict(dataset.persons), dict(dataset.objects)
@@ -144,7 +150,7 @@ class ExactTrainer:
         settings, model = self.settings, self._actor.model
         random = np.random.default_rng([self.seed, index])
         image = self.images[random.integers(len(self.images))]
-        pick = random.integers(len(image.places), size=settings.rays)
+        pick = random.integers(len(image.places), size=self.rays)
         poses, like = self.poses[image.moment], next(model.parameters())
         rays = make_rays(
             self.figures[image.moment], image.camera, image.places[pick] + 0.5, image.near[pick], image.far[pick], like,
