@@ -35,10 +35,11 @@ class FastSettings:
         skin_from: share of the schedule before which skinning keeps its initial weights; skin_every: steps between
             gradients through the root finder.
         refine_given_weights: whether weights that came from a body model are learned further; those guessed from bones
-            always are.  Measured on a novel action, ten minutes of refining cost quality (docs/accuracy.md).
+            always are.
         random_background: composite prediction and target over one random colour a ray, so that dark clothes are
             told from an empty background; black otherwise, as in the paper.
-        cull_from, cull_every: first step at which occupancy follows the density, and how often.
+        cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must end:
+            every refresh cuts a little off the soft outside of surfaces, which are then learned anew inside the cut.
         rebuild: steps after which posed grids and pixel pools are made anew.
         trace: shortcuts of ray tracing while training.
     """
@@ -54,11 +55,12 @@ class FastSettings:
     offset_loss: float = 0.1
     skin_from: float = 0.25
     skin_every: int = 2
-    refine_given_weights: bool = False
+    refine_given_weights: bool = True
     random_background: bool = True
     cull_from: int = 128
+    cull_until: int = 1024
     cull_every: int = 64
-    rebuild: tuple[int, ...] = (256, 512, 1024, 2048, 4096)
+    rebuild: tuple[int, ...] = (256, 512, 1024)
     trace: TraceSettings = TraceSettings(step=0.01, trust=0.8, stop=1e-2)
 
 
@@ -245,7 +247,7 @@ class GridTrainer:
 
     def _follow_density(self, done: int) -> None:
         """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
-        if done >= self.settings.cull_from and done % self.settings.cull_every == 0:
+        if self.settings.cull_from <= done <= self.settings.cull_until and done % self.settings.cull_every == 0:
             random = np.random.default_rng([self.seed, done, 1])
             for part in range(len(self.model.occupancy.dims)):
                 self._refresh(part, random)
