@@ -38,8 +38,8 @@ class FastSettings:
             always are.
         random_background: composite prediction and target over one random colour a ray, so that dark clothes are
             told from an empty background; black otherwise, as in the paper.
-        cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must end:
-            every refresh cuts a little off the soft outside of surfaces, which are then learned anew inside the cut.
+        cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must
+            end: every refresh cuts a little off the soft outside of surfaces, learned anew inside the cut.
         rebuild: steps after which posed grids and pixel pools are made anew.
         trace: shortcuts of ray tracing while training.
     """
