@@ -18,7 +18,7 @@ from chona_model.deform.skinning import ForwardSkinning
 from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import IdentityCodes
 from chona_model.field.radiance import FieldSample, RadianceField
-from chona_model.figure import PoseBatch, RayBatch, RayResult, pose_code_size
+from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, pose_code_size
 from chona_model.geometry import inverse_3x3, safe_divide
 from chona_model.render.frustum import conical_frusta, cylinders
 from chona_model.render.integration import EMPTY_DEPTH, integrate, ray_weights, visible_confidence
@@ -56,9 +56,8 @@ class ExactModel(nn.Module):
 
     def canonical_boxes(self, poses: PoseBatch) -> Tensor:
         """[P, N, 2, 3] corners of every slot's object in canonical space; points where the model has no boxes."""
-        root = poses.heads[:, :1, :].clone()
-        root[..., 2] += self.shape.object_distance
-        places = root.expand(-1, self.shape.object_slots, -1)[:, :, None, :].expand(-1, -1, 2, -1)
+        offsets = torch.as_tensor(object_places(self.shape.object_distance, self.shape.object_slots)).to(poses.heads)
+        places = (poses.heads[:, :1, :] + offsets)[:, :, None, :].expand(-1, -1, 2, -1)
         boxes = self.get_buffer("object_boxes").to(places)
         if boxes.shape[1] == 0:
             return places

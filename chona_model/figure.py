@@ -17,25 +17,42 @@ from torch import Tensor
 from chona_model.camera import Camera
 from chona_model.skeleton import Skeleton, canonical_to_world, translation
 
+OBJECT_CLEARANCE = 0.5
+"""Between the root joint and the nearest an object can come to it in canonical space, turned anyhow, metres."""
+
+OBJECT_GAP = 0.2
+"""Between the spheres around objects of neighbouring slots in canonical space, metres."""
+
+
+def object_places(object_distance: float, slots: int) -> np.ndarray:
+    """[N, 3] where the objects of each slot stand in canonical space relative to the root joint, metres.
+
+    The first stands in front of the body, the others beside it, left and right in turn; none can touch another or the
+    body, turned anyhow, because the greatest object fits a sphere of radius ``object_distance − OBJECT_CLEARANCE``.
+    """
+    spacing = 2.0 * max(object_distance - OBJECT_CLEARANCE, 0.0) + OBJECT_GAP
+    aside = [(slot + 1) // 2 * (1 if slot % 2 else -1) for slot in range(slots)]
+    return np.array([[place * spacing, 0.0, object_distance] for place in aside]).reshape(slots, 3)
+
 
 @dataclass(frozen=True)
 class Rig:
-    """What is posed: a skeleton, the rest joints of one person and the number of object slots.
+    """What is posed: a skeleton, the rest joints of one person and where objects stand.
 
     Attributes:
         skeleton: B body bones.
         rest_joints: [B, 3] canonical joints of this person, metres.
-        object_distance: how far in front of the root joint (+z) objects are placed in canonical space, metres.
+        object_distance: how far in front of the root joint (+z) objects are placed in canonical space, metres; see
+            ``object_places``.
     """
 
     skeleton: Skeleton
     rest_joints: np.ndarray
     object_distance: float
 
-    @property
-    def canonical_object(self) -> np.ndarray:
-        """[3] canonical position of every object's frame."""
-        return self.rest_joints[0] + np.array([0.0, 0.0, self.object_distance])
+    def canonical_objects(self, slots: int) -> np.ndarray:
+        """[N, 3] canonical position of the object frame of each slot."""
+        return self.rest_joints[0] + object_places(self.object_distance, slots)
 
 
 @dataclass(frozen=True)
@@ -91,7 +108,7 @@ def make_figure(
         transforms[:bones] = canonical_to_world(world_from_bone, rig.rest_joints)
         present[:bones] = True
     if objects:
-        transforms[bones : bones + objects] = world_from_object @ translation(-rig.canonical_object)
+        transforms[bones : bones + objects] = world_from_object @ translation(-rig.canonical_objects(objects))
         present[bones : bones + objects] = True
     if not np.isfinite(transforms).all():
         raise ValueError("the pose holds a value that is not finite")
@@ -130,8 +147,9 @@ def pose_codes(figures: Sequence[Figure], rig: Rig) -> np.ndarray:
         )
         body = np.where(figure.present[:bones, None, None], local[..., :2], 0.0).reshape(-1)
         objects = []
+        places = rig.canonical_objects(len(rotation) - bones)
         for index in range(bones, len(rotation)):
-            posed = figure.transforms[index, :3, :3] @ rig.canonical_object + figure.transforms[index, :3, 3]
+            posed = figure.transforms[index, :3, :3] @ places[index - bones] + figure.transforms[index, :3, 3]
             code = np.concatenate([rotation[index, :, :2].reshape(-1), posed - rig.rest_joints[0]])
             objects.append(code if figure.present[index] else np.zeros(9))
         rows.append(np.concatenate([body, *objects]))

@@ -156,7 +156,7 @@ class GridModel(nn.Module):
             rig, pose.world_from_bone if person >= 0 else None, pose.world_from_object, self.shape.object_slots
         )
         objects = tuple(self.object_index(name) for name in pose.objects)
-        slots = slot_matrices(figure, len(self.skeleton), rig.canonical_object)
+        slots = slot_matrices(figure, len(self.skeleton), rig.canonical_objects(self.shape.object_slots))
         return PosedFigure(figure, person, objects, pose_codes([figure], rig)[0], slots)
 
     def matrices(self, poses: Sequence[PosedFigure], offset: bool = True) -> tuple[Tensor, VolumeIndex]:

@@ -36,8 +36,9 @@ def figure_spans(figure: Figure, rig: Rig, boxes: Sequence[Box], camera: Camera)
     if figure.present[0]:
         points = _posed(figure.transforms[:bones], _bone_points(rig))
         splat_spans(points, matrix, camera.intrinsics, flat, BODY_REACH + 0.5 * SPACING, near, far)
+    places = rig.canonical_objects(len(boxes))
     for slot, box in enumerate(boxes):
-        points = _box_points(box) + rig.canonical_object
+        points = _box_points(box) + places[slot]
         points = _posed(figure.transforms[bones + slot][None], points[None])
         # A cell's half diagonal: every point of the box is within it of a sample.
         splat_spans(points, matrix, camera.intrinsics, flat, OBJECT_MARGIN + 0.87 * SPACING, near, far)

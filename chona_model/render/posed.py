@@ -42,9 +42,13 @@ class PosedPart:
     reach: float
 
 
-def slot_matrices(figure: Figure, bones: int, canonical_object: np.ndarray) -> np.ndarray:
-    """[N, 3, 4] float32: root space to each object's own frame. Exact: the inverse of a rigid matrix."""
-    slots = figure.transforms[bones:] @ translation(canonical_object)
+def slot_matrices(figure: Figure, bones: int, canonical_objects: np.ndarray) -> np.ndarray:
+    """[N, 3, 4] float32: root space to each object's own frame. Exact: the inverse of a rigid matrix.
+
+    Args:
+        canonical_objects: [N, 3] canonical positions of the objects' frames.
+    """
+    slots = figure.transforms[bones:] @ translation(canonical_objects)
     rotation = np.swapaxes(slots[:, :3, :3], -1, -2)
     offset = -np.einsum("nij,nj->ni", rotation, slots[:, :3, 3])
     return np.concatenate([rotation, offset[..., None]], axis=-1).astype(np.float32)

@@ -15,7 +15,7 @@ from chona_model.exact import ExactModel, take_rays
 from chona_model.exact_actor import ExactActor, make_rays
 from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import draw_invariant_codes, step_generator
-from chona_model.figure import Figure, PoseBatch
+from chona_model.figure import Figure, PoseBatch, object_places
 from chona_model.render.bounds import figure_spans
 from chona_model.settings import ExactSettings
 from chona_model.train.errors import TrainingError
@@ -112,7 +112,7 @@ class ExactTrainer:
         boxes = self._actor.boxes(list(dataset.objects))
         lower = np.min([box[0] for box in boxes], axis=0) if boxes else np.zeros(3)
         upper = np.max([box[1] for box in boxes], axis=0) if boxes else np.zeros(3)
-        slots = [(lower + rig.canonical_object, upper + rig.canonical_object)] * shape.object_slots
+        slots = [(lower + place, upper + place) for place in rig.canonical_objects(shape.object_slots)]
         extent = {"lower": np.array(shape.lower), "upper": np.array(shape.upper)}
         budget = {"steps": self.settings.initial_steps, "seed": self.seed}
         skinning = model.deform.skinning
@@ -216,6 +216,7 @@ class ExactTrainer:
 
 def make_shape(dataset: Dataset, distance: float) -> ExactShape:
     """Canonical space around all persons in T-pose and all objects in front of them."""
+    slots = max(max((len(view.pose.objects) for view in dataset.views), default=0), 1)
     points = [np.zeros((1, 3))]
     roots = [np.zeros(3)]
     for person in dataset.persons.values():
@@ -224,12 +225,12 @@ def make_shape(dataset: Dataset, distance: float) -> ExactShape:
         roots.append(person.rest_joints[0])
     for root in roots[1:] or roots:
         for thing in dataset.objects.values():
-            points.append(np.stack([thing.lower, thing.upper]) + root + [0.0, 0.0, distance])
+            for place in object_places(distance, slots):
+                points.append(np.stack([thing.lower, thing.upper]) + root + place)
     everything = np.concatenate(points[1:] if len(points) > 1 else points)
     lower, upper = everything.min(axis=0) - BODY_MARGIN, everything.max(axis=0) + BODY_MARGIN
-    slots = max((len(view.pose.objects) for view in dataset.views), default=0)
     return ExactShape(
-        bones=len(dataset.skeleton), object_slots=max(slots, 1), n_persons=len(dataset.persons),
+        bones=len(dataset.skeleton), object_slots=slots, n_persons=len(dataset.persons),
         n_objects=len(dataset.objects), lower=_corner(lower), upper=_corner(upper),
         object_distance=distance, object_lower=tuple(_corner(thing.lower) for thing in dataset.objects.values()),
         object_upper=tuple(_corner(thing.upper) for thing in dataset.objects.values()),
