@@ -97,6 +97,42 @@ def encode(points, identity, table, inverse_cells, dims, dense, rows_per_level, 
             out[m, column + 3] = a3
 
 
+@njit(fastmath=True)
+def encode_rows(points, identity, count, lower, table, inverse_cells, dims, dense, rows_per_level, out):
+    """``encode`` of a few points in their parts' frames, on one thread.
+
+    Args:
+        points: [≥ count, 3] metres; lower: [I, 3] lower corners; out: [≥ count, L · FEATURES], written.
+    """
+    mask = np.uint32(rows_per_level - 1)
+    zero = np.float32(0.0)
+    for level in range(table.shape[1]):
+        scale, is_dense = inverse_cells[level], dense[level]
+        nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
+        column = level * FEATURES
+        for m in range(count):
+            which = identity[m]
+            px = max(points[m, 0] - lower[which, 0], zero) * scale
+            py = max(points[m, 1] - lower[which, 1], zero) * scale
+            pz = max(points[m, 2] - lower[which, 2], zero) * scale
+            ix, iy, iz = np.int32(px), np.int32(py), np.int32(pz)
+            if is_dense:
+                ix, iy, iz = min(ix, nx - 2), min(iy, ny - 2), min(iz, nz - 2)
+            rows = corner_rows(ix, iy, iz, nx, ny, is_dense, mask)
+            weights = corner_weights(px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz))
+            a0 = a1 = a2 = a3 = zero
+            for corner in range(8):
+                row, weight = rows[corner], weights[corner]
+                a0 += weight * table[which, level, row, 0]
+                a1 += weight * table[which, level, row, 1]
+                a2 += weight * table[which, level, row, 2]
+                a3 += weight * table[which, level, row, 3]
+            out[m, column] = a0
+            out[m, column + 1] = a1
+            out[m, column + 2] = a2
+            out[m, column + 3] = a3
+
+
 @njit(parallel=True, fastmath=True, cache=True)
 def encode_backward_table(points, identity, grad_out, inverse_cells, dims, dense, rows_per_level, grad_table):
     """Adds the tables' gradients to ``grad_table`` [I, L, T, FEATURES]; arguments as in ``encode``."""
