@@ -15,16 +15,14 @@ from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
-from chona_model.grid_model import GridModel, GridModelShape, PosedFigure
-from chona_model.kernels.warp import NewtonLimits
-from chona_model.render.occupancy import whole_support
-from chona_model.render.posed import depth_spans
-from chona_model.render.tracing import PoseTable, TraceSettings, make_pose_table, trace
+from chona_model.grid_model import GridModel, GridModelShape
+from chona_model.grid_view import ReadyPose, View, make_ready, render_view
+from chona_model.render.occupancy import Occupancy, PartCells, whole_support
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 
-CHUNK = 16384
-"""Rays traced at once: enough to fill the kernels, little enough to stay in the caches."""
+KEPT_POSES = 4
+"""Poses that stay ready: the cameras and presets of one moment."""
 
 
 class GridActor:
@@ -38,6 +36,8 @@ class GridActor:
         self.persons: Mapping[str, Person] = {person.name: person for person in model.persons}
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
+        self._poses: dict[tuple[Any, ...], ReadyPose] = {}
+        self._cells: dict[bool, tuple[Occupancy, list[PartCells]]] = {}
 
     def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
         """Renders a view.
@@ -50,54 +50,27 @@ class GridActor:
         return self._render(pose, camera, settings)
 
     def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        posed = self.model.posed(pose)
-        occupancy = self.model.occupancy if settings.occupancy else whole_support(self.model.occupancy)
-        table = make_pose_table(self.model, [posed], occupancy)
-        near, far = depth_spans(table.parts[0], posed.figure, camera)
-        rows, columns = np.nonzero(far > near)
-        if len(rows) == 0:
-            return empty_picture(camera)
-        sums, failed, tried = self._trace(posed, table, camera, (rows, columns), (near, far), settings)
-        return _picture(camera, rows, columns, sums / settings.supersampling**2, failed, tried)
+        view = render_view(self.model, self._ready(pose, settings), camera, settings)
+        return _picture(camera, view) if len(view.rows) else empty_picture(camera)
 
-    def _trace(
-        self, posed: PosedFigure, table: PoseTable, camera: Camera, pixels: tuple[np.ndarray, np.ndarray],
-        spans: tuple[np.ndarray, np.ndarray], settings: RenderSettings,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-        model, (rows, columns) = self.model, pixels
-        near, far = spans[0][rows, columns], spans[1][rows, columns]
-        sums = np.zeros((len(rows), 6), dtype=np.float32)
-        failed, tried = np.zeros(len(rows)), np.zeros(len(rows))
-        limits = TraceSettings(
-            step=settings.step, newton=NewtonLimits(steps=settings.newton_steps), trust=settings.trust,
-            stop=settings.stop,
-        )  # fmt: skip
-        thing = posed.objects[0] if posed.objects else -1
-        pairs = torch.tensor([[posed.person, thing]])
-        with torch.inference_mode():
-            matrices, index = model.matrices([posed], settings.offset)
-            codes = torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None
-            for sub in range(settings.supersampling**2):
-                shift = (np.array([sub % settings.supersampling, sub // settings.supersampling]) + 0.5) / (
-                    settings.supersampling
-                )
-                for begin in range(0, len(rows), CHUNK):
-                    part = slice(begin, begin + CHUNK)
-                    places = np.stack([columns[part], rows[part]], axis=-1) + shift
-                    origins, directions = (
-                        np.ascontiguousarray(array, dtype=np.float32) for array in posed.figure.rays(camera, places)
-                    )
-                    count = len(origins)
-                    traced = trace(
-                        model, table, matrices, index, np.zeros(1, dtype=np.int32),
-                        (origins, directions, near[part], far[part]), np.zeros(count, dtype=np.int32),
-                        np.full(count, 0.5, dtype=np.float32), pairs, torch.zeros(count, dtype=torch.int64), codes,
-                        limits,
-                    )  # fmt: skip
-                    sums[part] += traced.out.numpy()
-                    failed[part] += traced.failed
-                    tried[part] += traced.tried
-        return sums, failed, tried
+    def _ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose:
+        """The pose made ready; the last few are kept, for several cameras and settings."""
+        bones = None if pose.world_from_bone is None else pose.world_from_bone.tobytes()
+        shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy)
+        key = (bones, pose.world_from_object.tobytes(), *shown)
+        if key not in self._poses:
+            while len(self._poses) >= KEPT_POSES:
+                self._poses.pop(next(iter(self._poses)))
+            occupancy, cells = self._occupied(settings.occupancy)
+            posed = self.model.posed(pose)
+            self._poses[key] = make_ready(self.model, posed, occupancy, cells, settings.offset, settings.shading)
+        return self._poses[key]
+
+    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, list[PartCells]]:
+        if skip_empty not in self._cells:
+            occupancy = self.model.occupancy if skip_empty else whole_support(self.model.occupancy)
+            self._cells[skip_empty] = occupancy, self.model.cells(occupancy)
+        return self._cells[skip_empty]
 
     def tensors(self) -> dict[str, Tensor]:
         """Parameters by identity, so that a scene reads only those it shows; and what frames them."""
@@ -175,15 +148,14 @@ class GridActor:
         return actor
 
 
-def _picture(
-    camera: Camera, rows: np.ndarray, columns: np.ndarray, values: np.ndarray, failed: np.ndarray, tried: np.ndarray
-) -> Picture:
-    empty = empty_picture(camera)
+def _picture(camera: Camera, view: View) -> Picture:
+    empty, (rows, columns, values) = empty_picture(camera), (view.rows, view.columns, view.values)
     alpha = np.clip(values[:, 3], 0.0, 1.0)
     solid = alpha > 0
     depth = np.full(len(rows), EMPTY_DEPTH, dtype=np.float32)
     depth[solid] = values[solid, 4] / values[solid, 3]
     thing = np.clip(values[:, 5], 0.0, alpha)
+    failed, tried = values[:, 6], values[:, 7]
     empty.rgb[rows, columns] = values[:, :3]
     empty.alpha[rows, columns] = alpha
     empty.depth[rows, columns] = depth

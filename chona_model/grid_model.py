@@ -15,7 +15,7 @@ from chona_model.field.grid import GridField, GridShape
 from chona_model.figure import Figure, Rig, make_figure, pose_code_size, pose_codes
 from chona_model.kernels.cpu import skinning
 from chona_model.kernels.warp import VolumeIndex
-from chona_model.render.occupancy import Occupancy, make_occupancy
+from chona_model.render.occupancy import Occupancy, PartCells, make_occupancy, part_cells
 from chona_model.render.posed import PosedPart, pose_cells, slot_matrices
 from chona_model.skeleton import Skeleton
 
@@ -194,24 +194,36 @@ class GridModel(nn.Module):
             inverse_cell=1.0 / self.shape.node_cell,
         )
 
-    def occupied_cells(self, pose: PosedFigure, occupancy: Occupancy) -> PosedPart:
-        """Posed start grid and bounding points of one pose, from an occupancy as it is now."""
-        body = None
-        if pose.person >= 0:
-            body = self.warp_points(pose, occupancy.centres(pose.person, occupancy.occupied(pose.person)))
-        objects = [
-            (len(self.persons) + index, pose.slots[slot].astype(np.float64)) for slot, index in enumerate(pose.objects)
-        ]
-        return pose_cells(occupancy, pose.person if pose.person >= 0 else None, objects, body)
+    def cells(self, occupancy: Occupancy) -> list[PartCells]:
+        """Occupied cells of every part."""
+        return [part_cells(occupancy, part) for part in range(len(occupancy.dims))]
 
-    def warp_points(self, pose: PosedFigure, points: np.ndarray) -> np.ndarray:
+    def pose_cells(
+        self, pose: PosedFigure, cells: Sequence[PartCells], matrices: np.ndarray | None = None
+    ) -> PosedPart:
+        """Posed start grid and bounding points of one pose.
+
+        Args:
+            cells: of every part; matrices: [M, 12 or more] blended matrices of the pose, made here where not given.
+        """
+        posed = None
+        if pose.person >= 0:
+            posed = self.warp_points(pose, cells[pose.person].centres, matrices)
+        objects = [
+            (cells[len(self.persons) + index], pose.slots[slot].astype(np.float64))
+            for slot, index in enumerate(pose.objects)
+        ]
+        return pose_cells(cells[pose.person] if posed is not None else None, objects, posed, self.occupancy.cell)
+
+    def warp_points(self, pose: PosedFigure, points: np.ndarray, matrices: np.ndarray | None = None) -> np.ndarray:
         """Forward skinning of canonical points [K, 3] of the pose's person into root space, float32."""
-        with torch.no_grad():
-            matrices, _ = self.matrices([pose])
+        if matrices is None:
+            with torch.no_grad():
+                matrices = self.matrices([pose])[0].numpy()
         grid = self.grid(pose.person)
         out = np.empty((len(points), 3), dtype=np.float32)
         skinning.forward(
-            np.ascontiguousarray(points, dtype=np.float32), matrices.numpy(), grid.nodes, grid.dims,
+            np.ascontiguousarray(points, dtype=np.float32), matrices, grid.nodes, grid.dims,
             grid.origin.astype(np.float32), np.float32(1.0 / grid.cell), out,
         )  # fmt: skip
         return out

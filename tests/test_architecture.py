@@ -17,7 +17,7 @@ FLOORS = (
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
     ("model_store",),
     ("grid_actor", "exact_actor", "formats"),
-    ("render.tracing",),
+    ("render.tracing", "grid_view"),
     ("grid_model", "exact"),
     ("render", "exact_shape"),
     ("actor",),

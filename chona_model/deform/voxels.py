@@ -112,6 +112,7 @@ class SkinningVolume(nn.Module):
         self.grid = grid
         count = len(grid.points)
         self.logits = nn.Parameter(torch.zeros(count, bones))
+        self.rendering_weights: Tensor | None = None
         self.offset_rank = offset_rank
         if offset_rank:
             self.offset_shapes = nn.Parameter(torch.zeros(count, offset_rank, 3))
@@ -145,6 +146,22 @@ class SkinningVolume(nn.Module):
         offset = None if pose_codes is None else self.offset(pose_codes)
         if offset is not None:
             matrices = matrices + torch.nn.functional.pad(offset[..., None], (3, 0)).reshape(poses, -1, 12)
+        return matrices
+
+    def blend_padded(self, transforms: Tensor, pose_codes: Tensor | None) -> Tensor:
+        """``blend`` of one pose for rendering: [M, 16], each matrix padded to a cache line; no gradients.
+
+        Args:
+            transforms: [B, 4, 4] canonical to root space.
+            pose_codes: [1, C], or None to leave the offset out.
+        """
+        if self.rendering_weights is None:
+            self.rendering_weights = self.weights().detach()
+        matrices = self.rendering_weights @ transforms.reshape(-1, 16)
+        matrices[:, 12:] = 0.0
+        offset = None if pose_codes is None else self.offset(pose_codes)
+        if offset is not None:
+            matrices[:, 3:12:4] += offset[0]
         return matrices
 
 

@@ -104,10 +104,10 @@ class GridField(nn.Module):
         local = (points - self.lower[part.long()]).clamp(min=0.0)
         gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
         encoded = encode(local, part, self.table, self.layout, gradient)
-        weights = self._weights(self.codes(pairs), pose_codes)
+        weights = self.weights(self.codes(pairs), pose_codes)
         return evaluate(encoded, weights, pair, pose, self.shape.density_scale)
 
-    def _weights(self, codes: Tensor, pose_codes: Tensor | None) -> FieldWeights:
+    def weights(self, codes: Tensor, pose_codes: Tensor | None) -> FieldWeights:
         """Codes and pose reach the perceptrons as biases, computed once a pair and once a pose."""
         features = self.shape.features
         shade = None

@@ -11,11 +11,15 @@ from torch import Tensor
 
 from chona_model.kernels import reference
 from chona_model.kernels.cpu import encode as kernels
+from chona_model.kernels.threads import in_pieces
 
 cpu: Any = kernels
 """numba's dispatchers take any arguments; a type checker does not know that."""
 
 FEATURES = kernels.FEATURES
+
+PIECE = 4096
+"""Points a thread takes at once."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,10 @@ class GridLayout:
         """Number of resolutions."""
         return len(self.inverse_cells)
 
+    def arguments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """As the kernels take them."""
+        return self.inverse_cells, self.dims, self.dense, self.rows
+
 
 def make_layout(extent: np.ndarray, coarsest: float, finest: float, levels: int, rows: int) -> GridLayout:
     """Cells shrink geometrically from ``coarsest`` to ``finest`` metres over a box of ``extent`` [3] metres."""
@@ -61,25 +69,33 @@ class _Encode(torch.autograd.Function):
     def forward(
         ctx: Any, points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout, gradient: TableGradient
     ) -> Tensor:
-        out = torch.empty(len(points), layout.levels * FEATURES)
-        arguments = (layout.inverse_cells, layout.dims, layout.dense, layout.rows)
-        cpu.encode(points.numpy(), identity.numpy(), table.detach().numpy(), *arguments, out.numpy())
         ctx.save_for_backward(points, identity, table)
-        ctx.arguments, ctx.gradient = arguments, gradient
-        return out
+        ctx.layout, ctx.gradient = layout, gradient
+        return _encode(points, identity, table, layout)
 
     @staticmethod
     def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor | None, ...]:
         points, identity, table = ctx.saved_tensors
-        grad = grad_out.contiguous().numpy()
-        cpu.encode_backward_table(points.numpy(), identity.numpy(), grad, *ctx.arguments, ctx.gradient.buffer.numpy())
+        head = (points.numpy(), identity.numpy(), np.zeros((len(table), 3), dtype=np.float32))
+        grad, buffer, arguments = grad_out.contiguous().numpy(), ctx.gradient.buffer.numpy(), ctx.layout.arguments()
+        in_pieces(
+            lambda level, _: cpu.encode_backward_table(level, *head, grad, *arguments, buffer), ctx.layout.levels, 1
+        )
         grad_points = None
         if ctx.needs_input_grad[0]:
             grad_points = torch.empty_like(points)
-            cpu.encode_backward_points(
-                points.numpy(), identity.numpy(), table.detach().numpy(), grad, *ctx.arguments, grad_points.numpy()
-            )
+            rest = (*head, table.detach().numpy(), grad, *arguments, grad_points.numpy())
+            in_pieces(lambda begin, end: cpu.encode_backward_points(begin, end, *rest), len(points), PIECE)
         return grad_points, None, None, None, None
+
+
+def _encode(points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    out = torch.empty(len(points), layout.levels * FEATURES)
+    lower = np.zeros((len(table), 3), dtype=np.float32)
+    arrays = (points.detach().numpy(), identity.numpy(), lower, table.detach().numpy())
+    rest = (*arrays, *layout.arguments(), out.numpy())
+    in_pieces(lambda level, _: cpu.encode(level, *rest), layout.levels, 1)
+    return out
 
 
 def fast(tensor: Tensor) -> bool:
@@ -107,10 +123,5 @@ def encode(
     if gradient is None and torch.is_grad_enabled() and (table.requires_grad or points.requires_grad):
         return reference.encode(points, identity, table, layout)
     if gradient is None:
-        out = torch.empty(len(points), layout.levels * FEATURES)
-        cpu.encode(
-            points.detach().numpy(), identity.numpy(), table.detach().numpy(),
-            layout.inverse_cells, layout.dims, layout.dense, layout.rows, out.numpy(),
-        )  # fmt: skip
-        return out
+        return _encode(points, identity, table, layout)
     return _Encode.apply(points, identity, table, layout, gradient)

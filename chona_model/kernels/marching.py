@@ -16,10 +16,18 @@ from torch import Tensor
 
 from chona_model.kernels import reference
 from chona_model.kernels.cpu import march as kernels
+from chona_model.kernels.cpu import posing
 from chona_model.kernels.grid import fast
+from chona_model.kernels.threads import in_pieces
 
 BODY = kernels.BODY
 cpu: Any = kernels  # numba compiles by the arguments it meets; their types are none a checker knows
+
+SLAB = 24
+"""Layers of a posed grid that a thread fills at once."""
+
+BAND = 96
+"""Rows of an image that a thread finds spans for at once."""
 
 Array = np.ndarray | Tensor
 A = TypeVar("A", np.ndarray, Tensor)
@@ -142,10 +150,11 @@ def mark_starts(
         )  # fmt: skip
     counts = _numpy(dims)
     starts = np.empty((int(counts.prod()), chances), dtype=np.int32)
-    cpu.mark_starts(
-        _numpy(posed), _numpy(centres), _numpy(origin), np.float32(inverse_cell), counts,
-        np.float32(reach), np.float32(apart), starts, np.empty(starts.shape, dtype=np.float32),
+    rest = (
+        _numpy(posed), _numpy(centres), _numpy(origin), np.float32(inverse_cell), counts, np.float32(reach),
+        np.float32(apart), starts,
     )  # fmt: skip
+    in_pieces(lambda begin, end: posing.mark_starts(begin, end, *rest), int(counts[2]), SLAB)
     return _kind_of(posed, starts)
 
 
@@ -168,10 +177,11 @@ def splat_spans(
         camera, pixels = (_tensor(a, points.device) for a in (camera_from_root, intrinsics))
         reference.splat_spans(points, camera, pixels, orthographic, radius, *_in_place(near, far))
         return
-    cpu.splat_spans(
-        _numpy(points), _numpy(camera_from_root), _numpy(intrinsics), orthographic, np.float32(radius),
-        _numpy(near), _numpy(far),
+    rest = (
+        _numpy(points), _numpy(camera_from_root), _numpy(intrinsics), orthographic, np.float32(radius), _numpy(near),
+        _numpy(far),
     )  # fmt: skip
+    in_pieces(lambda top, bottom: posing.splat_spans(top, bottom, *rest), len(rest[-1]), BAND)
 
 
 def march(

@@ -59,6 +59,34 @@ def make_occupancy(lower: np.ndarray, upper: np.ndarray, cell: float) -> Occupan
     )
 
 
+@dataclass(frozen=True)
+class PartCells:
+    """A part's occupied cells at one time.
+
+    Attributes:
+        centres: [V, 3] float32 in the part's own frame, metres.
+        shell: [S] int64 which of them have an empty neighbour: all that bounds the part in an image.
+    """
+
+    centres: np.ndarray
+    shell: np.ndarray
+
+
+def part_cells(occupancy: Occupancy, part: int) -> PartCells:
+    """The occupied cells of a part as they are now."""
+    nx, ny, nz = occupancy.dims[part]
+    occupied = occupancy.part(part).reshape(nz, ny, nx) > 0
+    padded = np.pad(occupied, 1)
+    inner = occupied.copy()
+    for axis in range(3):
+        for side in (0, 2):
+            shift = [slice(1, -1)] * 3
+            shift[axis] = slice(side, side + occupied.shape[axis])
+            inner &= padded[tuple(shift)]
+    index = np.flatnonzero(occupied)
+    return PartCells(occupancy.centres(part, index), np.flatnonzero(~inner.reshape(-1)[index]))
+
+
 UNKNOWN_DENSITY = 0.5
 """Cached density of cells nothing is known of yet, 1/m: worth sampling, hides nothing."""
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.figure import Figure
-from chona_model.kernels.cpu import march as kernel
-from chona_model.render.occupancy import Occupancy
+from chona_model.kernels.marching import mark_starts, splat_spans
+from chona_model.render.occupancy import PartCells
 from chona_model.skeleton import translation
 
 POSED_CELL = 0.02
@@ -27,19 +29,22 @@ class PosedPart:
     """Occupied cells of a figure in root space.
 
     Attributes:
-        body: [V, 3] posed centres of the person's occupied cells; centres: [V, 3] the canonical ones.
-        objects: [K, 3] posed centres of the objects' occupied cells.
-        starts: [cells, STARTS] int32 into the person's occupied cells; dims [3]; origin [3].
+        outline: [S, 3] posed centres of the outermost occupied cells, of the person and of all objects.
+        centres: [V, 3] canonical centres of the person's occupied cells.
+        starts: [cells, STARTS] int32 into ``centres``; dims [3]; origin [3].
         reach: radius of a posed cell's influence, metres.
     """
 
-    body: np.ndarray
+    outline: np.ndarray
     centres: np.ndarray
-    objects: np.ndarray
     starts: np.ndarray
     dims: np.ndarray
     origin: np.ndarray
     reach: float
+
+
+def _no_starts() -> Any:
+    return np.full((1, STARTS), -1, dtype=np.int32)
 
 
 def slot_matrices(figure: Figure, bones: int, canonical_objects: np.ndarray) -> np.ndarray:
@@ -55,39 +60,28 @@ def slot_matrices(figure: Figure, bones: int, canonical_objects: np.ndarray) -> 
 
 
 def pose_cells(
-    occupancy: Occupancy, person: int | None, objects: list[tuple[int, np.ndarray]], posed_body: np.ndarray | None
+    person: PartCells | None, objects: Sequence[tuple[PartCells, np.ndarray]], posed: np.ndarray | None, cell: float
 ) -> PosedPart:
     """Builds a posed start grid.
 
     Args:
-        person: part index of the person, or None.
-        objects: (part index, [3, 4] root space to object frame) of each object present.
-        posed_body: [V, 3] root-space positions of the person's occupied cells, in ``occupied`` order.
+        person: occupied cells of the person, or None; posed: [V, 3] where they are in root space, float32.
+        objects: occupied cells of each object present, and [3, 4] root space to its frame.
+        cell: of the occupancy, metres.
     """
-    reach = 0.9 * occupancy.cell  # half a cell's diagonal, and some stretch
-    moved = []
-    for part, matrix in objects:
-        centres = occupancy.centres(part, occupancy.occupied(part))
-        moved.append((centres - matrix[:, 3]) @ matrix[:, :3])
-    posed_objects = np.concatenate(moved) if moved else np.zeros((0, 3))
-    if person is None or posed_body is None or len(posed_body) == 0:
-        empty = np.zeros((0, 3), dtype=np.float32)
-        return PosedPart(
-            empty, empty, posed_objects.astype(np.float32), np.full((1, STARTS), -1, dtype=np.int32),
-            np.ones(3, dtype=np.int64), np.zeros(3, dtype=np.float32), reach,
-        )  # fmt: skip
-    origin = (posed_body.min(axis=0) - reach - POSED_CELL).astype(np.float32)
-    dims = np.ceil((posed_body.max(axis=0) + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
-    starts = np.empty((dims.prod(), STARTS), dtype=np.int32)
-    distances = np.empty((dims.prod(), STARTS), dtype=np.float32)
-    centres = occupancy.centres(person, occupancy.occupied(person))
-    kernel.mark_starts(
-        posed_body.astype(np.float32), centres, origin, np.float32(1 / POSED_CELL), dims, np.float32(reach),
-        np.float32(APART), starts, distances,
-    )  # fmt: skip
-    return PosedPart(
-        posed_body.astype(np.float32), centres, posed_objects.astype(np.float32), starts, dims, origin, reach
-    )
+    reach = 0.9 * cell  # half a cell's diagonal, and some stretch
+    outline = [(thing.centres[thing.shell] - matrix[:, 3]) @ matrix[:, :3] for thing, matrix in objects]
+    if person is None or posed is None or len(posed) == 0:
+        centres, origin = np.zeros((0, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
+        dims, starts = np.ones(3, dtype=np.int64), _no_starts()
+    else:
+        outline.insert(0, posed[person.shell])
+        centres = person.centres
+        origin = (posed.min(axis=0) - reach - POSED_CELL).astype(np.float32)
+        dims = np.ceil((posed.max(axis=0) + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
+        starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, STARTS)
+    points = np.concatenate(outline) if outline else np.zeros((0, 3))
+    return PosedPart(points.astype(np.float32), centres, starts, dims, origin, reach)
 
 
 def depth_spans(posed: PosedPart, figure: Figure, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -95,10 +89,8 @@ def depth_spans(posed: PosedPart, figure: Figure, camera: Camera) -> tuple[np.nd
     near = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
     far = np.zeros((camera.height, camera.width), dtype=np.float32)
     camera_from_root = camera_matrix(figure, camera)
-    for points in (posed.body, posed.objects):
-        kernel.splat_spans(
-            points, camera_from_root, camera.intrinsics, camera.kind == ORTHOGRAPHIC, posed.reach * 1.2, near, far
-        )
+    flat = camera.kind == ORTHOGRAPHIC
+    splat_spans(posed.outline, camera_from_root, camera.intrinsics, flat, posed.reach * 1.2, near, far)
     return near, far
 
 

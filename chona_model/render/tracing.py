@@ -57,7 +57,8 @@ class PoseTable:
 def make_pose_table(model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None) -> PoseTable:
     """Builds posed start grids from an occupancy as it is now; the model's own where none is given."""
     occupancy = occupancy or model.occupancy
-    parts = [model.occupied_cells(pose, occupancy) for pose in poses]
+    cells = model.cells(occupancy)
+    parts = [model.pose_cells(pose, cells) for pose in poses]
     voxels = np.concatenate([[0], np.cumsum([len(part.centres) for part in parts])])
     starts = np.concatenate(
         [np.where(part.starts >= 0, part.starts + voxels[index], -1) for index, part in enumerate(parts)]

@@ -11,103 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from chona_model.kernels.cpu.jit import inner
+
 BODY = -1
 """Kind of a candidate on the person; objects have their slot's index."""
 
 
-@njit(cache=True)
-def mark_starts(posed, centres, origin, inverse_cell, dims, reach, apart, starts, distances):
-    """Fills a posed grid with the canonical voxel that each cell is best inverted from.
-
-    Args:
-        posed: [V, 3] root-space centres of the occupied canonical voxels, ``centres`` [V, 3] their canonical ones.
-        origin [3], inverse_cell, dims [3]: the posed grid; reach: cells within this distance of a voxel are marked.
-        apart: a second start must lie this far from the first in canonical space (a hand on a thigh), metres.
-        starts: [cells, 2] int32 and distances: [cells, 2], written; −1 where there is none.
-    """
-    nx, ny, nz = dims[0], dims[1], dims[2]
-    starts[:] = -1
-    distances[:] = np.float32(1e30)
-    radius = np.int64(np.ceil(reach * inverse_cell))
-    for chance in range(starts.shape[1]):
-        for v in range(len(posed)):
-            cx = np.int64((posed[v, 0] - origin[0]) * inverse_cell)
-            cy = np.int64((posed[v, 1] - origin[1]) * inverse_cell)
-            cz = np.int64((posed[v, 2] - origin[2]) * inverse_cell)
-            for iz in range(max(cz - radius, 0), min(cz + radius + 1, nz)):
-                for iy in range(max(cy - radius, 0), min(cy + radius + 1, ny)):
-                    for ix in range(max(cx - radius, 0), min(cx + radius + 1, nx)):
-                        # Distance from the voxel to the cell's box, so that every point of a marked cell is covered.
-                        d = np.float32(0.0)
-                        half = np.float32(0.5)
-                        for axis in range(3):
-                            index = ix if axis == 0 else (iy if axis == 1 else iz)
-                            centre = origin[axis] + (np.float32(index) + half) / inverse_cell
-                            gap = abs(posed[v, axis] - centre) - half / inverse_cell
-                            if gap > 0.0:
-                                d += gap * gap
-                        if d > reach * reach:
-                            continue
-                        cell = ix + nx * (iy + ny * iz)
-                        exact = np.float32(0.0)
-                        for axis in range(3):
-                            index = ix if axis == 0 else (iy if axis == 1 else iz)
-                            gap = posed[v, axis] - (origin[axis] + (np.float32(index) + half) / inverse_cell)
-                            exact += gap * gap
-                        if chance == 0:
-                            if exact < distances[cell, 0]:
-                                distances[cell, 0] = exact
-                                starts[cell, 0] = v
-                            continue
-                        first = starts[cell, 0]
-                        d0 = centres[v, 0] - centres[first, 0]
-                        d1 = centres[v, 1] - centres[first, 1]
-                        d2 = centres[v, 2] - centres[first, 2]
-                        if d0 * d0 + d1 * d1 + d2 * d2 > apart * apart and exact < distances[cell, 1]:
-                            distances[cell, 1] = exact
-                            starts[cell, 1] = v
-
-
-@njit(cache=True)
-def splat_spans(points, camera_from_root, intrinsics, orthographic, radius, near, far):
-    """Depth spans of every pixel whose ray may come within ``radius`` of a point.
-
-    Args:
-        points: [M, 3] root space; camera_from_root: [3, 4]; intrinsics: [3, 3] pixels; radius: metres.
-        near, far: [H, W] updated: start with near = inf, far = 0.
-    """
-    height, width = near.shape
-    fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
-    for m in range(len(points)):
-        x = camera_from_root[0, 3]
-        y = camera_from_root[1, 3]
-        z = camera_from_root[2, 3]
-        for k in range(3):
-            x += camera_from_root[0, k] * points[m, k]
-            y += camera_from_root[1, k] * points[m, k]
-            z += camera_from_root[2, k] * points[m, k]
-        if z + radius <= 0.0:
-            continue
-        begin = max(z - radius, 0.0)
-        if orthographic:
-            u0, u1, v0, v1 = fx * (x - radius), fx * (x + radius), fy * (y - radius), fy * (y + radius)
-        elif z > 1.5 * radius:
-            # Slopes of the planes through the camera that touch the sphere.
-            square = z * z - radius * radius
-            du, dv = radius * np.sqrt(x * x + square), radius * np.sqrt(y * y + square)
-            u0, u1 = fx * (x * z - du) / square, fx * (x * z + du) / square
-            v0, v1 = fy * (y * z - dv) / square, fy * (y * z + dv) / square
-        else:
-            u0, u1, v0, v1 = -cx, width - cx, -cy, height - cy  # the camera is inside: every pixel
-        left, right = max(np.int64(np.floor(u0 + cx - 0.5)), 0), min(np.int64(np.ceil(u1 + cx - 0.5)), width - 1)
-        top, bottom = max(np.int64(np.floor(v0 + cy - 0.5)), 0), min(np.int64(np.ceil(v1 + cy - 0.5)), height - 1)
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                near[row, column] = min(near[row, column], begin)
-                far[row, column] = max(far[row, column], z + radius)
-
-
-@njit(inline="always")
+@inner
 def cell_density(x, y, z, part, densities, first, dims, origins, inverse_cell):
     """Cached density of the occupancy cell at a local point of a part; 0 outside its grid."""
     px = (x - origins[part, 0]) * inverse_cell

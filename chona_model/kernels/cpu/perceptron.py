@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from chona_model.kernels.cpu.jit import entry, inner
 from chona_model.kernels.cpu.matmul import add_product
 from chona_model.kernels.cpu.simd import LANES, load, maximum, sigmoid, softplus, splat, store, where_positive
 
@@ -77,20 +78,20 @@ def make_activations(net):
     )
 
 
-@njit
+@inner
 def _copy_row(source, source_begin, target, target_begin, count):
     for k in range(0, count, LANES):
         store(target, target_begin + k, load(source, source_begin + k))
 
 
-@njit
+@inner
 def _clear(values):
     zero = splat(np.float32(0.0))
     for k in range(0, values.size, LANES):
         store(values, k, zero)
 
 
-@njit
+@inner
 def _rectify(values, begin, row, rows, columns):
     zero = splat(np.float32(0.0))
     for r in range(rows):
@@ -98,7 +99,7 @@ def _rectify(values, begin, row, rows, columns):
             store(values, k, maximum(load(values, k), zero))
 
 
-@njit
+@inner
 def forward_block(net, x, x_begin, rows, pair, pose, first, act):
     """Activations of up to ``BLOCK`` encoded points.
 
@@ -141,42 +142,40 @@ def forward_block(net, x, x_begin, rows, pair, pose, first, act):
         store(act.final, 4 * BLOCK + r, sigmoid(load(act.final, 4 * BLOCK + r)) if shaded else one)
 
 
-@njit
-def _whole_block(x, first, rows, block):
-    """Rows of ``x`` [M, E] and where they begin: in place, or where the block is not whole, padded in ``block``."""
+@inner
+def _copy_block(x, first, rows, block):
+    """Rows of ``x`` [M, E] to ``block``; where there are fewer than a block's, padded with zeros."""
     inputs = x.shape[1]
-    if rows == BLOCK:
-        return x, first * inputs
-    _clear(block)
+    if rows < BLOCK:
+        _clear(block)
     _copy_row(x, first * inputs, block, 0, rows * inputs)
-    return block, 0
 
 
-@njit(nogil=True, cache=True)
+@entry
 def forward(net, x, begin, end, pair, pose, scale, density, rgb):
     """Density [M] and rgb [M, 3] of the encoded points ``begin`` to ``end`` of x [M, E].
 
     Args:
         pair, pose: [M] int64 rows of the biases.
     """
-    act, spare = make_activations(net), np.empty((BLOCK, x.shape[1]), np.float32)
+    act, block = make_activations(net), np.empty((BLOCK, x.shape[1]), np.float32)
     for first in range(begin, end, BLOCK):
         rows = min(BLOCK, end - first)
-        block, element = _whole_block(x, first, rows, spare)
-        forward_block(net, block, element, rows, pair, pose, first, act)
+        _copy_block(x, first, rows, block)
+        forward_block(net, block, 0, rows, pair, pose, first, act)
         for r in range(rows):
             density[first + r] = scale * act.final[0, r]
             for k in range(3):
                 rgb[first + r, k] = act.final[1 + k, r] * act.final[4, r]
 
 
-@njit
+@inner
 def _add_row(source, source_begin, target, target_begin, count):
     for k in range(0, count, LANES):
         store(target, target_begin + k, load(target, target_begin + k) + load(source, source_begin + k))
 
 
-@njit
+@inner
 def _mask(condition, condition_begin, condition_row, values, begin, row, rows, columns):
     """Keeps gradients where the rectified activation is above zero."""
     for r in range(rows):
@@ -187,7 +186,7 @@ def _mask(condition, condition_begin, condition_row, values, begin, row, rows, c
             store(values, begin + r * row + k, kept)
 
 
-@njit(nogil=True, cache=True)
+@entry
 def backward(net, transposed, x, begin, end, pair, pose, scale, grad_density, grad_rgb, grad_x, sums):
     """Gradients of ``forward``.
 
@@ -201,7 +200,7 @@ def backward(net, transposed, x, begin, end, pair, pose, scale, grad_density, gr
     shaded = len(net.shade_bias) > 0
     one, zero = np.float32(1.0), np.float32(0.0)
     act = make_activations(net)
-    spare, grad_block = np.empty((BLOCK, inputs), np.float32), np.empty((BLOCK, inputs), np.float32)
+    block, grad_block = np.empty((BLOCK, inputs), np.float32), np.empty((BLOCK, inputs), np.float32)
     grad_both, grad_shade = np.empty((BLOCK, wide), np.float32), np.empty((BLOCK, shades), np.float32)
     grad_raw, grad_out, grad_occlusion = (
         np.empty((BLOCK, LANES), np.float32), np.empty((BLOCK, LANES), np.float32),
@@ -210,8 +209,8 @@ def backward(net, transposed, x, begin, end, pair, pose, scale, grad_density, gr
     for first in range(begin, end, BLOCK):
         rows = min(BLOCK, end - first)
         padded = (rows + 3) // 4 * 4
-        block, element = _whole_block(x, first, rows, spare)
-        forward_block(net, block, element, rows, pair, pose, first, act)
+        _copy_block(x, first, rows, block)
+        forward_block(net, block, 0, rows, pair, pose, first, act)
         for array in (grad_both, grad_shade, grad_raw, grad_out, grad_occlusion, grad_block):
             _clear(array)
         for r in range(rows):
@@ -247,7 +246,7 @@ def backward(net, transposed, x, begin, end, pair, pose, scale, grad_density, gr
         add_product(act.both, 0, 1, wide, grad_raw, 0, LANES, sums.raw, 0, LANES, hidden, LANES, padded)
         add_product(grad_raw, 0, LANES, 1, transposed.raw, 0, hidden, grad_both, 0, wide, padded, hidden, LANES)
         _mask(act.both, 0, wide, grad_both, 0, wide, rows, hidden)
-        add_product(block, element, 1, inputs, grad_both, 0, wide, sums.both, 0, wide, inputs, wide, padded)
+        add_product(block, 0, 1, inputs, grad_both, 0, wide, sums.both, 0, wide, inputs, wide, padded)
         for r in range(rows):
             _add_row(grad_both, r * wide, sums.both_bias, pair[first + r] * wide, wide)
             _add_row(grad_raw, r * LANES, sums.raw_bias, 0, LANES)

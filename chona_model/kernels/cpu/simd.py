@@ -1,4 +1,4 @@
-"""Sixteen floats as one value inside numba functions: one AVX-512 register, two of AVX2, four of NEON.
+"""Sixteen (or four) floats as one value inside numba functions: one AVX-512 register, two of AVX2, four of NEON.
 
 LLVM does not vectorise the loops that matter here by itself (short, with many accumulators); with a vector type they
 are written as they should run.  +, −, · and / work through operators.
@@ -14,31 +14,35 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.extending import intrinsic, overload, register_model
 
+from chona_model.kernels.cpu.jit import inner
+
 LANES = 16
+"""Lanes of the wide vector."""
 
 FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-VECTOR, _INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(_INT, LANES)
+VECTOR = ir.VectorType(FLOAT, LANES)
 
 
-class Float32x16(types.Type):
-    """numba's type of sixteen floats."""
+class FloatVector(types.Type):
+    """numba's type of a few floats."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Float32x16")
-
-
-float32x16 = Float32x16()
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        super().__init__(name=f"Float32x{lanes}")
 
 
-@register_model(Float32x16)
-class _Float32x16Model(models.PrimitiveModel):
+wide, short = FloatVector(LANES), FloatVector(4)
+
+
+@register_model(FloatVector)
+class _FloatVectorModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, VECTOR)
+        super().__init__(dmm, fe_type, ir.VectorType(FLOAT, fe_type.lanes))
 
 
 def element(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:
@@ -46,66 +50,73 @@ def element(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> A
     return builder.gep(context.make_array(kind)(context, builder, array).data, [offset])
 
 
-def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    return builder.bitcast(element(context, builder, signature.args[0], *arguments[:2]), VECTOR.as_pointer())
+def _constant(kind: Any, value: Any) -> ir.Constant:
+    return ir.Constant(kind, [value] * kind.count)
 
 
-def _constant(value: float) -> ir.Constant:
-    return ir.Constant(VECTOR, [value] * LANES)
-
-
-def spread(builder: Any, scalar: Any) -> Any:
+def spread(builder: Any, scalar: Any, lanes: int = LANES) -> Any:
     """LLVM code for one float in all lanes."""
-    undefined = ir.Constant(VECTOR, ir.Undefined)
+    undefined = ir.Constant(ir.VectorType(FLOAT, lanes), ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(first, undefined, ir.Constant(_INTS, [0] * LANES))
+    return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_INT, lanes), [0] * lanes))
 
 
 def call_lanes(builder: Any, name: str, arguments: Any) -> Any:
     """LLVM code for one of its functions on vectors."""
-    kind = ir.FunctionType(VECTOR, [VECTOR] * len(arguments))
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v16f32"), arguments)
+    vector = arguments[0].type
+    kind = ir.FunctionType(vector, [vector] * len(arguments))
+    name = f"llvm.{name}.v{vector.count}f32"
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
 
 
-@intrinsic
-def load(typingctx: Any, array: Any, offset: Any) -> Any:
-    """Sixteen floats of ``array`` from ``offset``; no alignment needed."""
+def _loader(vector: FloatVector, once: bool) -> Any:
+    """An intrinsic that reads a vector, or (``once``) one float into all lanes."""
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(_address(context, builder, signature, arguments), align=4)
+    @intrinsic
+    def read(typingctx: Any, array: Any, offset: Any) -> Any:
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            place = element(context, builder, signature.args[0], *arguments)
+            if once:
+                return spread(builder, builder.load(place, align=4), vector.lanes)
+            return builder.load(builder.bitcast(place, ir.VectorType(FLOAT, vector.lanes).as_pointer()), align=4)
 
-    return float32x16(array, types.intp), code
+        return vector(array, types.intp), code
+
+    return read
+
+
+load, load4 = _loader(wide, once=False), _loader(short, once=False)
+"""Sixteen or four floats of an array from an offset; no alignment needed."""
+
+splat_at = _loader(wide, once=True)
+"""One float of an array in sixteen lanes."""
 
 
 @intrinsic
 def store(typingctx: Any, array: Any, offset: Any, value: Any) -> Any:
-    """Writes sixteen floats to ``array`` from ``offset``."""
+    """Writes a vector to ``array`` from ``offset``."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
+        place = element(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], builder.bitcast(place, arguments[2].type.as_pointer()), align=4)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, float32x16), code
+    return types.void(array, types.intp, value), code
 
 
-@intrinsic
-def splat(typingctx: Any, scalar: Any) -> Any:
-    """One float in all lanes."""
+def _splatter(vector: FloatVector) -> Any:
+    @intrinsic
+    def fill(typingctx: Any, scalar: Any) -> Any:
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return spread(builder, arguments[0], vector.lanes)
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return spread(builder, arguments[0])
+        return vector(types.float32), code
 
-    return float32x16(types.float32), code
+    return fill
 
 
-@intrinsic
-def splat_at(typingctx: Any, array: Any, offset: Any) -> Any:
-    """One float of ``array`` in all lanes."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return spread(builder, builder.load(element(context, builder, signature.args[0], *arguments), align=4))
-
-    return float32x16(array, types.intp), code
+splat, splat4 = _splatter(wide), _splatter(short)
+"""One float in sixteen or four lanes."""
 
 
 @intrinsic
@@ -115,7 +126,7 @@ def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call_lanes(builder, "fma", arguments)
 
-    return float32x16(float32x16, float32x16, float32x16), code
+    return a(a, a, a), code
 
 
 @intrinsic
@@ -125,7 +136,7 @@ def maximum(typingctx: Any, a: Any, b: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call_lanes(builder, "maxnum", arguments)
 
-    return float32x16(float32x16, float32x16), code
+    return a(a, a), code
 
 
 @intrinsic
@@ -135,7 +146,7 @@ def minimum(typingctx: Any, a: Any, b: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call_lanes(builder, "minnum", arguments)
 
-    return float32x16(float32x16, float32x16), code
+    return a(a, a), code
 
 
 @intrinsic
@@ -143,10 +154,10 @@ def where_positive(typingctx: Any, condition: Any, value: Any) -> Any:
     """``value`` in lanes whose ``condition`` is above 0, else 0."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        positive = builder.fcmp_ordered(">", arguments[0], _constant(0.0))
-        return builder.select(positive, arguments[1], _constant(0.0))
+        positive = builder.fcmp_ordered(">", arguments[0], _constant(VECTOR, 0.0))
+        return builder.select(positive, arguments[1], _constant(VECTOR, 0.0))
 
-    return float32x16(float32x16, float32x16), code
+    return wide(wide, wide), code
 
 
 @intrinsic
@@ -154,7 +165,7 @@ def _round(typingctx: Any, value: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call_lanes(builder, "rint", arguments)
 
-    return float32x16(float32x16), code
+    return wide(wide), code
 
 
 @intrinsic
@@ -162,11 +173,12 @@ def _power_of_two(typingctx: Any, exponent: Any) -> Any:
     """2 to whole exponents in −126…127."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        whole = builder.fptosi(arguments[0], _INTS)
-        biased = builder.add(whole, ir.Constant(_INTS, [127] * LANES))
-        return builder.bitcast(builder.shl(biased, ir.Constant(_INTS, [23] * LANES)), VECTOR)
+        integers = ir.VectorType(_INT, LANES)
+        whole = builder.fptosi(arguments[0], integers)
+        biased = builder.add(whole, _constant(integers, 127))
+        return builder.bitcast(builder.shl(biased, _constant(integers, 23)), VECTOR)
 
-    return float32x16(float32x16), code
+    return wide(wide), code
 
 
 def _arithmetic(operation: Callable[..., Any], instruction: str) -> None:
@@ -175,11 +187,11 @@ def _arithmetic(operation: Callable[..., Any], instruction: str) -> None:
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return getattr(builder, instruction)(*arguments)
 
-        return float32x16(float32x16, float32x16), code
+        return a(a, a), code
 
     @overload(operation)
     def choose(a, b):
-        if isinstance(a, Float32x16) and isinstance(b, Float32x16):
+        if isinstance(a, FloatVector) and isinstance(b, FloatVector):
             return lambda a, b: lanes(a, b)  # noqa: PLW0108 - numba compiles the function it gets
         return None
 
@@ -193,7 +205,7 @@ for _operation, _instruction in (
     _arithmetic(_operation, _instruction)
 
 
-@njit
+@inner
 def exp(x):
     """eˣ within 2 units in the last place; arguments beyond ±87 are taken as ±87."""
     x = minimum(maximum(x, splat(np.float32(-87.0))), splat(np.float32(87.0)))
@@ -211,14 +223,14 @@ def exp(x):
     return series * _power_of_two(whole)
 
 
-@njit
+@inner
 def sigmoid(x):
     """1 / (1 + e⁻ˣ)."""
     one = splat(np.float32(1.0))
     return one / (one + exp(splat(np.float32(0.0)) - x))
 
 
-@njit
+@inner
 def softplus(x):
     """ln(1 + eˣ), without overflow; by 2 artanh(u / (2 + u)) for the small part u = e^−|x|."""
     zero, two = splat(np.float32(0.0)), splat(np.float32(2.0))

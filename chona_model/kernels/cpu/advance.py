@@ -1,0 +1,292 @@
+"""Where a ray goes next: the following samples that could hold anything, with their canonical points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from chona_model.kernels.cpu.jit import inner
+from chona_model.kernels.cpu.march import cell_density
+from chona_model.kernels.cpu.newton import WORK, find_root, solve_jacobian
+
+RAYS = 128
+"""Rays in a block."""
+
+ROOM = 256
+"""Candidates a wave may have."""
+
+COLUMNS = 8
+"""Of results: premultiplied red, green, blue; alpha; Σ w·depth; Σ w over objects; failed and tried roots."""
+
+PREDICTED = np.float32(0.03)
+"""A root is predicted from the ray's last one while the prediction stays this near the cell's own start, metres."""
+
+
+class Rays(NamedTuple):
+    """Pixels of one camera.
+
+    Attributes:
+        pixels: [R, 2] int32 column and row; near, far: [R] float32 depths.
+        lens: [4, 3]: the ray through (u, v) is ``lens[0] + t (lens[1] + u lens[2] + v lens[3])``, root space.
+        drift: [2, 3]: how its origin moves with u and v (orthographic cameras).
+        side: rays a pixel along each axis.
+    """
+
+    pixels: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    lens: np.ndarray
+    drift: np.ndarray
+    side: int
+
+
+class Starts(NamedTuple):
+    """Posed start grid (see ``posing.mark_starts``).
+
+    Attributes:
+        marked: [cells] uint8, whether there is a start; starts: [cells, chances] int32 into ``centres`` [V, 3].
+        dims: [3] int64; origin: [3] float32 metres; inverse_cell: 1/m.
+    """
+
+    marked: np.ndarray
+    starts: np.ndarray
+    centres: np.ndarray
+    dims: np.ndarray
+    origin: np.ndarray
+    inverse_cell: np.float32
+
+
+class Parts(NamedTuple):
+    """Occupancy of all parts, and which of them the pose shows.
+
+    Attributes:
+        densities, first, dims, origins, inverse_cell: as in ``march.cell_density``.
+        person: part of the person or −1; slot_part: [N] int32 part or −1; slot_matrix: [N, 3, 4] root space to part.
+    """
+
+    densities: np.ndarray
+    first: np.ndarray
+    dims: np.ndarray
+    origins: np.ndarray
+    inverse_cell: np.float32
+    person: int
+    slot_part: np.ndarray
+    slot_matrix: np.ndarray
+
+
+class Block(NamedTuple):
+    """State of a block's rays.
+
+    Attributes:
+        origin, direction: [RAYS, 3]; begin, far, pace (depth a sample), light (transmittance): [RAYS].
+        sample: [RAYS] int64 number of the next sample.
+        slot_origin, slot_direction: [RAYS, N, 3] in objects' frames; enter, leave: [RAYS, N] depths of their grids.
+        root, slide: [RAYS, chances, 3] last canonical point and its change with depth; root_depth: [RAYS, chances].
+        result: [RAYS, COLUMNS].
+        work: for ``find_root``.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    begin: np.ndarray
+    far: np.ndarray
+    pace: np.ndarray
+    light: np.ndarray
+    sample: np.ndarray
+    slot_origin: np.ndarray
+    slot_direction: np.ndarray
+    enter: np.ndarray
+    leave: np.ndarray
+    root: np.ndarray
+    slide: np.ndarray
+    root_depth: np.ndarray
+    result: np.ndarray
+    work: np.ndarray
+
+
+class Candidates(NamedTuple):
+    """Points of one wave that may hold something, in order of rays and depths.
+
+    Attributes:
+        ray: [ROOM] int64; part: [ROOM] int32; pair, pose: [ROOM] int64 rows of conditioned biases.
+        thing: [ROOM] bool, on an object; depth: [ROOM]; point: [ROOM, 3] in the part's frame.
+    """
+
+    ray: np.ndarray
+    part: np.ndarray
+    pair: np.ndarray
+    pose: np.ndarray
+    thing: np.ndarray
+    depth: np.ndarray
+    point: np.ndarray
+
+
+@njit
+def make_block(slots, chances):
+    """Memory for a block."""
+    real = np.float32
+    return Block(
+        np.empty((RAYS, 3), real), np.empty((RAYS, 3), real), np.empty(RAYS, real), np.empty(RAYS, real),
+        np.empty(RAYS, real), np.empty(RAYS, real), np.empty(RAYS, np.int64), np.empty((RAYS, slots, 3), real),
+        np.empty((RAYS, slots, 3), real), np.empty((RAYS, slots), real), np.empty((RAYS, slots), real),
+        np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances), real),
+        np.empty((RAYS, COLUMNS), real), np.empty(WORK, real),
+    )  # fmt: skip
+
+
+@njit
+def make_candidates():
+    """Memory for a wave."""
+    return Candidates(
+        np.zeros(ROOM, np.int64), np.zeros(ROOM, np.int32), np.zeros(ROOM, np.int64), np.zeros(ROOM, np.int64),
+        np.zeros(ROOM, np.bool_), np.zeros(ROOM, np.float32), np.zeros((ROOM, 3), np.float32),
+    )  # fmt: skip
+
+
+@inner
+def aim(rays, parts, step, first, count, block):
+    """Rays ``first`` to ``first + count``, each through its part of a pixel, from their spans' near ends."""
+    half, side = np.float32(0.5), np.float32(rays.side)
+    for r in range(count):
+        pixel, sub = (first + r) // (rays.side * rays.side), (first + r) % (rays.side * rays.side)
+        u = np.float32(rays.pixels[pixel, 0]) + (np.float32(sub % rays.side) + half) / side
+        v = np.float32(rays.pixels[pixel, 1]) + (np.float32(sub // rays.side) + half) / side
+        square = np.float32(0.0)
+        for k in range(3):
+            d = rays.lens[1, k] + u * rays.lens[2, k] + v * rays.lens[3, k]
+            block.origin[r, k] = rays.lens[0, k] + u * rays.drift[0, k] + v * rays.drift[1, k]
+            block.direction[r, k] = d
+            square += d * d
+        block.pace[r] = step / np.sqrt(square)
+        block.begin[r] = rays.near[pixel] + half * block.pace[r]
+        block.far[r], block.light[r], block.sample[r] = rays.far[pixel], np.float32(1.0), 0
+        for chance in range(block.root.shape[1]):
+            block.root_depth[r, chance] = np.float32(-1.0)
+        for slot in range(len(parts.slot_part)):
+            if parts.slot_part[slot] >= 0:
+                _enter_slot(r, slot, parts, block)
+        for k in range(COLUMNS):
+            block.result[r, k] = np.float32(0.0)
+
+
+@inner
+def _enter_slot(r, slot, parts, block):
+    """The ray in an object's frame, and where it is inside the object's grid."""
+    part = parts.slot_part[slot]
+    enter, leave = np.float32(-1e30), np.float32(1e30)
+    for k in range(3):
+        o, d = parts.slot_matrix[slot, k, 3], np.float32(0.0)
+        for j in range(3):
+            o += parts.slot_matrix[slot, k, j] * block.origin[r, j]
+            d += parts.slot_matrix[slot, k, j] * block.direction[r, j]
+        block.slot_origin[r, slot, k], block.slot_direction[r, slot, k] = o, d
+        low = parts.origins[part, k]
+        high = low + np.float32(parts.dims[part, k]) / parts.inverse_cell
+        if abs(d) < np.float32(1e-12):
+            if o < low or o > high:
+                leave = np.float32(-1e30)
+            continue
+        a, b = (low - o) / d, (high - o) / d
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    block.enter[r, slot], block.leave[r, slot] = enter, leave
+
+
+@inner
+def _invert(r, chance, start, t, x, y, z, volume, starts, limits, block):
+    """Canonical point and residual of a posed point, from the ray's last root or else from the cell's start."""
+    cx, cy, cz = starts.centres[start, 0], starts.centres[start, 1], starts.centres[start, 2]
+    if block.root_depth[r, chance] > np.float32(0.0):
+        ahead = t - block.root_depth[r, chance]
+        a = block.root[r, chance, 0] + ahead * block.slide[r, chance, 0]
+        b = block.root[r, chance, 1] + ahead * block.slide[r, chance, 1]
+        c = block.root[r, chance, 2] + ahead * block.slide[r, chance, 2]
+        if (a - cx) ** 2 + (b - cy) ** 2 + (c - cz) ** 2 < PREDICTED * PREDICTED:
+            cx, cy, cz = a, b, c
+    cx, cy, cz, residual = find_root(x, y, z, cx, cy, cz, volume, limits, block.work)
+    block.root_depth[r, chance] = np.float32(-1.0)
+    if residual <= limits.accept:
+        s0, s1, s2 = solve_jacobian(
+            block.work, cx, cy, cz, block.direction[r, 0], block.direction[r, 1], block.direction[r, 2]
+        )
+        block.root_depth[r, chance] = t
+        block.root[r, chance, 0], block.root[r, chance, 1], block.root[r, chance, 2] = cx, cy, cz
+        block.slide[r, chance, 0], block.slide[r, chance, 1], block.slide[r, chance, 2] = s0, s1, s2
+    return cx, cy, cz, residual
+
+
+@inner
+def _push(found, n, ray, depth, part, pair, thing, x, y, z):
+    found.ray[n], found.depth[n], found.part[n], found.pair[n], found.thing[n] = ray, depth, part, pair, thing
+    found.point[n, 0], found.point[n, 1], found.point[n, 2] = x, y, z
+
+
+@inner
+def _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block, found):
+    """Candidates of a sample on the person; returns the new number of candidates."""
+    before = n
+    for chance in range(starts.starts.shape[1]):
+        start = starts.starts[cell, chance]
+        if start < 0:
+            break
+        cx, cy, cz, residual = _invert(r, chance, start, t, x, y, z, volume, starts, limits, block)
+        block.result[r, 7] += np.float32(1.0)
+        if residual > limits.accept:
+            block.result[r, 6] += np.float32(1.0)
+            continue
+        if n > before:  # the same root again, from the other start
+            a, b, c = found.point[before, 0] - cx, found.point[before, 1] - cy, found.point[before, 2] - cz
+            if a * a + b * b + c * c < apart * apart:
+                continue
+        inside = cell_density(
+            cx, cy, cz, parts.person, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
+        )
+        if inside > 0.0:
+            _push(found, n, r, t, parts.person, 0, False, cx, cy, cz)
+            n += 1
+    return n
+
+
+@inner
+def advance(r, wanted, n, volume, starts, parts, limits, apart, block, found):
+    """Finds up to ``wanted`` next samples of a ray that could hold anything; returns the new number of candidates."""
+    zero = np.float32(0.0)
+    nx, ny, nz = starts.dims[0], starts.dims[1], starts.dims[2]
+    room = ROOM - starts.starts.shape[1] - len(parts.slot_part)
+    sample, samples = block.sample[r], 0
+    while samples < wanted and n <= room:
+        t = block.begin[r] + np.float32(sample) * block.pace[r]
+        if t >= block.far[r]:
+            break
+        sample += 1
+        before = n
+        x = block.origin[r, 0] + t * block.direction[r, 0]
+        y = block.origin[r, 1] + t * block.direction[r, 1]
+        z = block.origin[r, 2] + t * block.direction[r, 2]
+        px = (x - starts.origin[0]) * starts.inverse_cell
+        py = (y - starts.origin[1]) * starts.inverse_cell
+        pz = (z - starts.origin[2]) * starts.inverse_cell
+        if px >= zero and py >= zero and pz >= zero:
+            ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
+            if ix < nx and iy < ny and iz < nz:
+                cell = ix + nx * (iy + ny * iz)
+                if starts.marked[cell]:
+                    n = _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block, found)
+        for slot in range(len(parts.slot_part)):
+            part = parts.slot_part[slot]
+            if part < 0 or t < block.enter[r, slot] or t > block.leave[r, slot]:
+                continue
+            lx = block.slot_origin[r, slot, 0] + t * block.slot_direction[r, slot, 0]
+            ly = block.slot_origin[r, slot, 1] + t * block.slot_direction[r, slot, 1]
+            lz = block.slot_origin[r, slot, 2] + t * block.slot_direction[r, slot, 2]
+            inside = cell_density(
+                lx, ly, lz, part, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
+            )
+            if inside > zero:
+                _push(found, n, r, t, part, slot, True, lx, ly, lz)
+                n += 1
+        if n > before:
+            samples += 1
+    block.sample[r] = sample
+    return n

@@ -1,0 +1,20 @@
+"""How kernels are compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+entry: Any = njit(nogil=True, cache=True)
+"""Called from Python: releases its lock, keeps machine code between runs.  Allocates what inner functions work in."""
+
+_any_njit: Any = njit  # its stub leaves ``_nrt`` out
+inner = _any_njit(_nrt=False, fastmath={"nsz", "arcp", "contract", "afn", "reassoc"})
+"""Called from other kernels: may not allocate, and does not count references to the arrays it is given.  Counting is a
+locked instruction for every array of every call, and cores fight over the counters.
+
+Sums may be reordered; infinities and NaNs keep their meaning."""
+
+strict = _any_njit(_nrt=False)
+"""``inner`` where every operation must round as it is written."""

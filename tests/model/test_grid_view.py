@@ -1,0 +1,112 @@
+"""Whole rays in one kernel against the separate stages they are made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tiny_models import trained
+
+from chona_model import grid_view
+from chona_model.kernels.cpu import newton
+from chona_model.kernels.cpu.jit import entry
+from chona_model.kernels.warp import NewtonLimits, invert
+from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.settings import RENDER_PRESETS
+
+find_root = newton.find_root
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def scene(request: pytest.FixtureRequest):
+    dataset, trainer = trained(objects=request.param)
+    return trainer.actor(), dataset.views[1]
+
+
+def ready(actor, view, settings):
+    return actor._ready(view.pose, settings)
+
+
+@pytest.mark.parametrize("changes", [{}, {"offset": False}, {"shading": False}])
+def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roots to a micrometre, since the two start their searches in different places."""
+    actor, view = scene
+    monkeypatch.setattr(grid_view, "TOLERANCE", 1e-6)
+    settings = replace(RENDER_PRESETS["final"], supersampling=1, newton_steps=12, stop=0.0, **changes)
+    seen = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    model, posed = actor.model, actor.model.posed(view.pose)
+    table = make_pose_table(model, [posed])
+    near, far = grid_view.depth_spans(table.parts[0], posed.figure, view.camera)
+    rows, columns = np.nonzero(far > near)
+    places = np.stack([columns, rows], axis=-1) + 0.5
+    origins, directions = (array.astype(np.float32) for array in posed.figure.rays(view.camera, places))
+    count = len(rows)
+    with torch.no_grad():
+        matrices, index = model.matrices([posed], settings.offset)
+        traced = trace(
+            model, table, matrices, index, np.zeros(1, np.int32),
+            (origins, directions, near[rows, columns], far[rows, columns]), np.zeros(count, np.int32),
+            np.full(count, 0.5, np.float32), torch.tensor([[posed.person, posed.objects[0]]]),
+            torch.zeros(count, dtype=torch.int64),
+            torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None,
+            TraceSettings(step=settings.step, newton=NewtonLimits(steps=12, tolerance=1e-6), trust=0.0, stop=settings.stop),
+        )  # fmt: skip
+    np.testing.assert_array_equal(seen.rows, rows)
+    expected = traced.out.numpy()
+    assert expected[:, 3].max() > 0.9
+    # Rays whose samples fall within rounding of an occupancy cell's border may differ by a sample.
+    difference = np.abs(seen.values[:, :6] - expected)
+    assert np.quantile(difference, 0.99) < 2e-3
+    assert difference.mean() < 2e-4
+
+
+def test_the_early_stop_saves_evaluations_and_little_else(scene) -> None:
+    actor, view = scene
+    whole, stopped = (
+        grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+        for settings in (replace(RENDER_PRESETS["final"], stop=stop) for stop in (0.0, 0.01))
+    )
+    assert stopped.evaluated < whole.evaluated
+    assert np.abs(stopped.values[:, :4] - whole.values[:, :4]).max() < 0.011
+
+
+def test_threads_change_nothing(scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    actor, view = scene
+    settings = RENDER_PRESETS["final"]
+    first = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    monkeypatch.setattr(grid_view, "PIECE", 10**9)
+    second = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    np.testing.assert_array_equal(first.values, second.values)
+
+
+@entry
+def find_roots(posed, starts, volume, limits, roots, residuals):
+    work = np.empty(newton.WORK, np.float32)
+    for m in range(len(posed)):
+        roots[m, 0], roots[m, 1], roots[m, 2], residuals[m] = find_root(
+            posed[m, 0], posed[m, 1], posed[m, 2], starts[m, 0], starts[m, 1], starts[m, 2], volume, limits, work
+        )
+
+
+def test_roots_are_those_of_the_voxel_volumes_kernel(scene) -> None:
+    actor, view = scene
+    model, posed = actor.model, actor.model.posed(view.pose)
+    volume = ready(actor, view, RENDER_PRESETS["final"]).volume
+    canonical = model.cells(model.occupancy)[posed.person].centres
+    random = np.random.default_rng(0)
+    known = canonical + random.uniform(-0.005, 0.005, canonical.shape).astype(np.float32)
+    with torch.no_grad():
+        matrices, index = model.matrices([posed])
+    targets = model.warp_points(posed, known)
+    pose = torch.zeros(len(targets), dtype=torch.int32)
+    theirs, errors = invert(
+        matrices, torch.from_numpy(targets), torch.from_numpy(canonical), pose, index, NewtonLimits(steps=8)
+    )
+    roots, residuals = np.empty_like(targets), np.empty(len(targets), np.float32)
+    real = np.float32
+    find_roots(targets, canonical, volume, newton.RootLimits(8, real(2e-4), real(0.05), real(2e-3)), roots, residuals)
+    np.testing.assert_allclose(roots, theirs.numpy(), atol=2e-5)
+    np.testing.assert_allclose(residuals, errors.numpy(), atol=2e-6)
+    assert (residuals < 2e-4).mean() > 0.9
