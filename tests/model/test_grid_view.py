@@ -51,7 +51,7 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: 
             np.full(count, 0.5, np.float32), torch.tensor([[posed.person, posed.objects[0]]]),
             torch.zeros(count, dtype=torch.int64),
             torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None,
-            TraceSettings(step=settings.step, newton=NewtonLimits(steps=12, tolerance=1e-6), trust=0.0, stop=settings.stop),
+            TraceSettings(step=settings.step, newton=NewtonLimits(12, tolerance=1e-6), trust=0.0, stop=0.0),
         )  # fmt: skip
     np.testing.assert_array_equal(seen.rows, rows)
     expected = traced.out.numpy()
