@@ -160,7 +160,7 @@ class GridModel(nn.Module):
         return PosedFigure(figure, person, objects, pose_codes([figure], rig)[0], slots)
 
     def matrices(self, poses: Sequence[PosedFigure], offset: bool = True) -> tuple[Tensor, VolumeIndex]:
-        """Blended matrices of every pose, [rows, 12], and where each pose's rows are; differentiable."""
+        """Blended matrices of every pose, [rows, 16], and where each pose's rows are; differentiable."""
         rows: list[Tensor | None] = [None] * len(poses)
         bones = len(self.skeleton)
         for person in sorted({pose.person for pose in poses if pose.person >= 0}):
@@ -172,7 +172,7 @@ class GridModel(nn.Module):
                 rows[index] = matrix
         lengths = [0 if row is None else len(row) for row in rows]
         present = [row for row in rows if row is not None]
-        matrices = torch.cat(present) if present else torch.zeros(0, 12)
+        matrices = torch.cat(present) if present else torch.zeros(1, 16)
         return matrices, self._index(poses, np.concatenate([[0], np.cumsum(lengths)])[:-1])
 
     def _index(self, poses: Sequence[PosedFigure], first_row: np.ndarray) -> VolumeIndex:
@@ -204,7 +204,7 @@ class GridModel(nn.Module):
         """Posed start grid and bounding points of one pose.
 
         Args:
-            cells: of every part; matrices: [M, 12 or more] blended matrices of the pose, made here where not given.
+            cells: of every part; matrices: [M, 16] blended matrices of the pose, made here where not given.
         """
         posed = None
         if pose.person >= 0:

@@ -134,22 +134,23 @@ class SkinningVolume(nn.Module):
         return torch.einsum("pk,mkc->pmc", self.offset_mix(pose_codes), self.offset_shapes)
 
     def blend(self, transforms: Tensor, pose_codes: Tensor | None) -> Tensor:
-        """The paper's (Σ_j w_j T_j) with F_Δ in the last column: [P, M, 12].
+        """The paper's (Σ_j w_j T_j) with F_Δ in the last column, rows padded to a cache line: [P, M, 16].
 
         Args:
             transforms: [P, B, 4, 4] canonical to root space.
             pose_codes: [P, C], or None to leave the offset out.
         """
         poses, bones = transforms.shape[:2]
-        flat = transforms[:, :, :3, :].reshape(poses, bones, 12).permute(1, 0, 2).reshape(bones, poses * 12)
-        matrices = (self.weights() @ flat).reshape(-1, poses, 12).permute(1, 0, 2).contiguous()
+        flat = transforms.reshape(poses, bones, 16).permute(1, 0, 2).reshape(bones, poses * 16)
+        matrices = (self.weights() @ flat).reshape(-1, poses, 16).permute(1, 0, 2).contiguous()
         offset = None if pose_codes is None else self.offset(pose_codes)
         if offset is not None:
-            matrices = matrices + torch.nn.functional.pad(offset[..., None], (3, 0)).reshape(poses, -1, 12)
+            columns = torch.nn.functional.pad(offset[..., None], (3, 0, 0, 1))
+            matrices = matrices + columns.reshape(poses, -1, 16)
         return matrices
 
     def blend_padded(self, transforms: Tensor, pose_codes: Tensor | None) -> Tensor:
-        """``blend`` of one pose for rendering: [M, 16], each matrix padded to a cache line; no gradients.
+        """``blend`` of one pose for rendering: [M, 16]; no gradients.
 
         Args:
             transforms: [B, 4, 4] canonical to root space.
@@ -158,7 +159,6 @@ class SkinningVolume(nn.Module):
         if self.rendering_weights is None:
             self.rendering_weights = self.weights().detach()
         matrices = self.rendering_weights @ transforms.reshape(-1, 16)
-        matrices[:, 12:] = 0.0
         offset = None if pose_codes is None else self.offset(pose_codes)
         if offset is not None:
             matrices[:, 3:12:4] += offset[0]

@@ -80,7 +80,7 @@ def pack(weights: FieldWeights) -> kernels.Network:
     return kernels.Network(*(part.detach().contiguous().numpy() for part in packed))
 
 
-def _unpack(sums: kernels.Network, weights: FieldWeights) -> list[Tensor | None]:
+def unpack(sums: kernels.Network, weights: FieldWeights) -> list[Tensor | None]:
     """Gradients of the packed weights, in the order of ``FieldWeights``."""
     grads: Any = kernels.Network(*(torch.from_numpy(array) for array in sums))  # type: ignore[arg-type]
     w = weights
@@ -95,6 +95,13 @@ def _unpack(sums: kernels.Network, weights: FieldWeights) -> list[Tensor | None]
         None if w.shade_bias is None else grads.shade_bias[:, :shades], grads.shade_out[:shades, :1].T,
         grads.shade_out_bias[:1],
     ]  # fmt: skip
+
+
+def transpose(network: kernels.Network) -> kernels.Transposed:
+    """What the backward pass multiplies with."""
+    n = network
+    arrays = (n.both, n.raw, n.features, n.colour, n.shade_in, n.shade_out)
+    return kernels.Transposed(*(np.ascontiguousarray(array.T) for array in arrays))
 
 
 class _Perceptron(torch.autograd.Function):
@@ -115,14 +122,7 @@ class _Perceptron(torch.autograd.Function):
     def backward(ctx: Any, grad_density: Tensor, grad_rgb: Tensor) -> tuple[Tensor | None, ...]:
         encoded, pair, pose, *weights = ctx.saved_tensors
         network: kernels.Network = ctx.network
-        transposed = kernels.Transposed(
-            *(
-                np.ascontiguousarray(array.T)
-                for array in (
-                    network.both, network.raw, network.features, network.colour, network.shade_in, network.shade_out,
-                )
-            )
-        )  # fmt: skip
+        transposed = transpose(network)
         grad_encoded = torch.empty_like(encoded)
         arrays = (
             pair.numpy(), pose.numpy(), ctx.scale, grad_density.contiguous().numpy(), grad_rgb.contiguous().numpy(),
@@ -138,7 +138,7 @@ class _Perceptron(torch.autograd.Function):
         # Whatever the number of threads, the same chunks are summed in the same order.
         parts = in_pieces(add, len(x), CHUNK) or [kernels.Network(*(np.zeros_like(array) for array in network))]
         total = kernels.Network(*(np.sum(arrays, axis=0) for arrays in zip(*parts, strict=True)))
-        return grad_encoded, None, None, None, *_unpack(total, FieldWeights(*weights))
+        return grad_encoded, None, None, None, *unpack(total, FieldWeights(*weights))
 
 
 def evaluate(

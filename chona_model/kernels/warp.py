@@ -89,7 +89,7 @@ def invert(
     """Canonical points of root-space points, from one start each.
 
     Args:
-        matrices: [rows, 12] blended matrices; gradients reach them by the implicit function theorem.
+        matrices: [rows, 12 or more] blended matrices; gradients reach them by the implicit function theorem.
         posed, starts: [M, 3] metres; pose: [M] int32.
 
     Returns:

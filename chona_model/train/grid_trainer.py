@@ -14,10 +14,11 @@ from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
 from chona_model.grid_model import GridModel, GridModelShape
+from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.adam import adam_rows
 from chona_model.kernels.grid import FEATURES
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
-from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.render.tracing import TraceSettings, make_pose_table
 from chona_model.train.errors import TrainingError
 from chona_model.train.hull import carve_hull
 from chona_model.train.objects import object_distance
@@ -156,27 +157,29 @@ class GridTrainer:
         random = np.random.default_rng([self.seed, index])
         chosen = random.choice(self.usable, min(settings.poses, len(self.usable)), replace=False)
         batch = [self._draw(pose, settings.rays // len(chosen), random) for pose in chosen]
-        origins, directions, near, far, rgb, part, pose = (
-            np.concatenate(column) for column in zip(*batch, strict=True)
-        )
-        rays = len(origins)
+        rgb, part, pose = (np.concatenate([row[column] for row in batch]) for column in (4, 5, 6))
+        rays = len(pose)
         skinning = self.learns_skinning and share >= settings.skin_from and index % settings.skin_every == 0
         figures = [self.posed[pose] for pose in chosen]
         with torch.set_grad_enabled(skinning):
             matrices, where = self.model.matrices(figures)
-        local = np.zeros(len(self.posed), dtype=np.int32)
-        local[chosen] = np.arange(len(chosen))
         pairs, ray_pair = self._identities(pose, part, index)
         codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
-        traced = trace(
-            self.model, self.table, matrices, where, local, (origins, directions, near, far), pose,
-            random.random(rays, dtype=np.float32), pairs, ray_pair, codes, settings.trace,
-        )  # fmt: skip
+        jitter = random.random(rays, dtype=np.float32)
+        ends = np.cumsum([len(row[4]) for row in batch])
+        pose_rays = [
+            PoseRays(
+                figure, self.table.parts[number], row[0], row[1], row[2], row[3], jitter[end - len(row[4]) : end],
+                ray_pair[end - len(row[4]) : end],
+            )
+            for number, figure, row, end in zip(chosen, figures, batch, ends, strict=True)
+        ]  # fmt: skip
+        out, _ = trace_rays(self.model, pose_rays, matrices, where, pairs, codes, settings.trace)
         background = (
             np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
         )
         target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
-        predicted = traced.out[:, :3] + (1.0 - traced.out[:, 3:4]) * torch.from_numpy(background)
+        predicted = out[:, :3] + (1.0 - out[:, 3:4]) * torch.from_numpy(background)
         image_loss = ((predicted - torch.from_numpy(target)) ** 2).mean()
         loss = image_loss + self._regularisers(figures) if skinning else image_loss
         if not torch.isfinite(loss):
@@ -201,11 +204,15 @@ class GridTrainer:
             pool.part[pick], np.full(count, pose, dtype=np.int32),
         )  # fmt: skip
 
-    def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, Tensor]:
-        """Pairs of identities in use and each ray's pair; CIL exchanges what a ray does not show."""
+    def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, np.ndarray]:
+        """Pairs of identities in use [Q, 2] and [R, N] int64 each ray's pair for every object slot; CIL exchanges what
+        a ray does not show."""
+        slots = self.model.shape.object_slots
+        shown = torch.full((len(self.posed), slots), -1)
+        for row, figure in enumerate(self.posed):
+            shown[row, : len(figure.objects)] = torch.tensor(figure.objects, dtype=torch.int64)
         persons = torch.tensor([figure.person for figure in self.posed])[torch.from_numpy(pose).long()]
-        things = torch.tensor([figure.objects[0] if figure.objects else -1 for figure in self.posed])
-        objects = things[torch.from_numpy(pose).long()][:, None]
+        objects = shown[torch.from_numpy(pose).long()]
         n_persons, n_objects = len(self.model.persons), len(self.model.objects)
         if self.method == "chona" and (n_persons > 1 or n_objects > 1):
             persons, objects = draw_invariant_codes(
@@ -213,8 +220,8 @@ class GridTrainer:
                 n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index,
             )  # fmt: skip
         pairs = torch.cartesian_prod(torch.arange(-1, n_persons), torch.arange(-1, n_objects))
-        used, ray_pair = torch.unique((persons + 1) * (n_objects + 1) + objects[:, 0] + 1, return_inverse=True)
-        return pairs[used], ray_pair
+        used, ray_pair = torch.unique((persons + 1)[:, None] * (n_objects + 1) + objects + 1, return_inverse=True)
+        return pairs[used], ray_pair.numpy()
 
     def _regularisers(self, figures: list) -> Tensor:
         """λ L_w + β L_Δ: one-hot weights on the bones, offsets near zero."""

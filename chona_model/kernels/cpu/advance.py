@@ -17,6 +17,9 @@ RAYS = 128
 ROOM = 256
 """Candidates a wave may have."""
 
+AHEAD = 4
+"""Most samples of one ray in a wave, when few rays are left."""
+
 COLUMNS = 8
 """Of results: premultiplied red, green, blue; alpha; Σ w·depth; Σ w over objects; failed and tried roots."""
 
@@ -84,8 +87,8 @@ class Block(NamedTuple):
         sample: [RAYS] int64 number of the next sample.
         slot_origin, slot_direction: [RAYS, N, 3] in objects' frames; enter, leave: [RAYS, N] depths of their grids.
         root, slide: [RAYS, chances, 3] last canonical point and its change with depth; root_depth: [RAYS, chances].
-        result: [RAYS, COLUMNS].
-        work: for ``find_root``.
+        pair: [RAYS, max(N, 1)] int64 row of the biases for each slot's object; the person takes the first.
+        result: [RAYS, COLUMNS]; alive: [RAYS] int64; work: for ``find_root``.
     """
 
     origin: np.ndarray
@@ -102,16 +105,19 @@ class Block(NamedTuple):
     root: np.ndarray
     slide: np.ndarray
     root_depth: np.ndarray
+    pair: np.ndarray
     result: np.ndarray
+    alive: np.ndarray
     work: np.ndarray
 
 
 class Candidates(NamedTuple):
-    """Points of one wave that may hold something, in order of rays and depths.
+    """Samples that may hold something: in a wave in order of rays and depths.
 
     Attributes:
-        ray: [ROOM] int64; part: [ROOM] int32; pair, pose: [ROOM] int64 rows of conditioned biases.
-        thing: [ROOM] bool, on an object; depth: [ROOM]; point: [ROOM, 3] in the part's frame.
+        ray: [C] int64; part: [C] int32; pair, pose: [C] int64 rows of conditioned biases.
+        thing: [C] bool, on an object; depth: [C]; point: [C, 3] in the part's frame, metres.
+        x: [C, E] encoded points; density: [C] 1/m; rgb: [C, 3].
     """
 
     ray: np.ndarray
@@ -121,6 +127,9 @@ class Candidates(NamedTuple):
     thing: np.ndarray
     depth: np.ndarray
     point: np.ndarray
+    x: np.ndarray
+    density: np.ndarray
+    rgb: np.ndarray
 
 
 @njit
@@ -132,16 +141,19 @@ def make_block(slots, chances):
         np.empty(RAYS, real), np.empty(RAYS, real), np.empty(RAYS, np.int64), np.empty((RAYS, slots, 3), real),
         np.empty((RAYS, slots, 3), real), np.empty((RAYS, slots), real), np.empty((RAYS, slots), real),
         np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances), real),
-        np.empty((RAYS, COLUMNS), real), np.empty(WORK, real),
+        np.zeros((RAYS, max(slots, 1)), np.int64), np.empty((RAYS, COLUMNS), real), np.empty(RAYS, np.int64),
+        np.empty(WORK, real),
     )  # fmt: skip
 
 
 @njit
-def make_candidates():
-    """Memory for a wave."""
+def make_candidates(room, inputs, pose):
+    """Memory for ``room`` candidates of ``inputs`` encoded features in one pose."""
+    real = np.float32
     return Candidates(
-        np.zeros(ROOM, np.int64), np.zeros(ROOM, np.int32), np.zeros(ROOM, np.int64), np.zeros(ROOM, np.int64),
-        np.zeros(ROOM, np.bool_), np.zeros(ROOM, np.float32), np.zeros((ROOM, 3), np.float32),
+        np.zeros(room, np.int64), np.zeros(room, np.int32), np.zeros(room, np.int64), np.full(room, pose, np.int64),
+        np.zeros(room, np.bool_), np.zeros(room, real), np.zeros((room, 3), real), np.zeros((room, inputs), real),
+        np.zeros(room, real), np.zeros((room, 3), real),
     )  # fmt: skip
 
 
@@ -153,22 +165,30 @@ def aim(rays, parts, step, first, count, block):
         pixel, sub = (first + r) // (rays.side * rays.side), (first + r) % (rays.side * rays.side)
         u = np.float32(rays.pixels[pixel, 0]) + (np.float32(sub % rays.side) + half) / side
         v = np.float32(rays.pixels[pixel, 1]) + (np.float32(sub // rays.side) + half) / side
-        square = np.float32(0.0)
         for k in range(3):
-            d = rays.lens[1, k] + u * rays.lens[2, k] + v * rays.lens[3, k]
             block.origin[r, k] = rays.lens[0, k] + u * rays.drift[0, k] + v * rays.drift[1, k]
-            block.direction[r, k] = d
-            square += d * d
-        block.pace[r] = step / np.sqrt(square)
-        block.begin[r] = rays.near[pixel] + half * block.pace[r]
-        block.far[r], block.light[r], block.sample[r] = rays.far[pixel], np.float32(1.0), 0
-        for chance in range(block.root.shape[1]):
-            block.root_depth[r, chance] = np.float32(-1.0)
-        for slot in range(len(parts.slot_part)):
-            if parts.slot_part[slot] >= 0:
-                _enter_slot(r, slot, parts, block)
-        for k in range(COLUMNS):
-            block.result[r, k] = np.float32(0.0)
+            block.direction[r, k] = rays.lens[1, k] + u * rays.lens[2, k] + v * rays.lens[3, k]
+        for slot in range(block.pair.shape[1]):
+            block.pair[r, slot] = slot
+        start_ray(r, rays.near[pixel], rays.far[pixel], half, step, parts, block)
+
+
+@inner
+def start_ray(r, near, far, jitter, step, parts, block):
+    """A ray whose origin, direction and pairs are set, at its near end, moved on by a share ``jitter`` of a step."""
+    square = np.float32(0.0)
+    for k in range(3):
+        square += block.direction[r, k] * block.direction[r, k]
+    block.pace[r] = step / np.sqrt(square)
+    block.begin[r] = near + jitter * block.pace[r]
+    block.far[r], block.light[r], block.sample[r] = far, np.float32(1.0), 0
+    for chance in range(block.root.shape[1]):
+        block.root_depth[r, chance] = np.float32(-1.0)
+    for slot in range(len(parts.slot_part)):
+        if parts.slot_part[slot] >= 0:
+            _enter_slot(r, slot, parts, block)
+    for k in range(COLUMNS):
+        block.result[r, k] = np.float32(0.0)
 
 
 @inner
@@ -243,17 +263,21 @@ def _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block
             cx, cy, cz, parts.person, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
         )
         if inside > 0.0:
-            _push(found, n, r, t, parts.person, 0, False, cx, cy, cz)
+            _push(found, n, r, t, parts.person, block.pair[r, 0], False, cx, cy, cz)
             n += 1
     return n
 
 
 @inner
-def advance(r, wanted, n, volume, starts, parts, limits, apart, block, found):
-    """Finds up to ``wanted`` next samples of a ray that could hold anything; returns the new number of candidates."""
+def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, found):
+    """Finds up to ``wanted`` next samples of a ray that could hold anything, for candidates ``n`` up to ``full``.
+
+    Returns:
+        The new number of candidates.
+    """
     zero = np.float32(0.0)
     nx, ny, nz = starts.dims[0], starts.dims[1], starts.dims[2]
-    room = ROOM - starts.starts.shape[1] - len(parts.slot_part)
+    room = full - starts.starts.shape[1] - len(parts.slot_part)
     sample, samples = block.sample[r], 0
     while samples < wanted and n <= room:
         t = block.begin[r] + np.float32(sample) * block.pace[r]
@@ -284,7 +308,7 @@ def advance(r, wanted, n, volume, starts, parts, limits, apart, block, found):
                 lx, ly, lz, part, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
             )
             if inside > zero:
-                _push(found, n, r, t, part, slot, True, lx, ly, lz)
+                _push(found, n, r, t, part, block.pair[r, slot], True, lx, ly, lz)
                 n += 1
         if n > before:
             samples += 1

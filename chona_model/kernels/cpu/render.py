@@ -11,14 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chona_model.kernels.cpu.advance import COLUMNS, RAYS, ROOM, advance, aim, make_block, make_candidates
+from chona_model.kernels.cpu.advance import (
+    AHEAD,
+    COLUMNS,
+    RAYS,
+    ROOM,
+    advance,
+    aim,
+    make_block,
+    make_candidates,
+)  # fmt: skip
 from chona_model.kernels.cpu.encode import encode_level
 from chona_model.kernels.cpu.jit import entry, inner
 from chona_model.kernels.cpu.newton import RootLimits
 from chona_model.kernels.cpu.perceptron import BLOCK, forward_block, make_activations
-
-AHEAD = 4
-"""Most samples of one ray in a wave, when few rays are left."""
 
 
 class Tables(NamedTuple):
@@ -50,40 +56,40 @@ class Limits(NamedTuple):
 
 
 @inner
-def _evaluate(n, tables, net, found, x, act, density, rgb):
-    """Density and colour of the wave's candidates."""
+def _evaluate(begin, end, tables, net, found, act):
+    """Encodes candidates, and their density and colour."""
     for level in range(tables.table.shape[1]):
         encode_level(
-            level, found.point, found.part, 0, n, tables.lower, tables.table, tables.inverse_cells, tables.dims,
-            tables.dense, tables.rows, x,
+            level, found.point, found.part, begin, end, tables.lower, tables.table, tables.inverse_cells, tables.dims,
+            tables.dense, tables.rows, found.x,
         )  # fmt: skip
-    for first in range(0, n, BLOCK):
-        rows = min(BLOCK, n - first)
-        forward_block(net, x, first * x.shape[1], rows, found.pair, found.pose, first, act)
+    for first in range(begin, end, BLOCK):
+        rows = min(BLOCK, end - first)
+        forward_block(net, found.x, first * found.x.shape[1], rows, found.pair, found.pose, first, act)
         for m in range(rows):
-            density[first + m] = tables.scale * act.final[0, m]
+            found.density[first + m] = tables.scale * act.final[0, m]
             for k in range(3):
-                rgb[first + m, k] = act.final[1 + k, m] * act.final[4, m]
+                found.rgb[first + m, k] = act.final[1 + k, m] * act.final[4, m]
 
 
 @inner
-def _integrate(n, limits, found, density, rgb, block):
-    """Adds the wave to its rays; of several candidates of one sample the densest counts."""
-    m = 0
-    while m < n:
+def _integrate(begin, end, limits, found, block):
+    """Adds candidates to their rays; of several of one sample the densest counts."""
+    m = begin
+    while m < end:
         r, chosen = found.ray[m], m
         m += 1
-        while m < n and found.ray[m] == r and found.depth[m] == found.depth[chosen]:
-            if density[m] > density[chosen]:
+        while m < end and found.ray[m] == r and found.depth[m] == found.depth[chosen]:
+            if found.density[m] > found.density[chosen]:
                 chosen = m
             m += 1
         light = block.light[r]
         if light < limits.stop:
             continue
-        alpha = -np.expm1(-density[chosen] * limits.step)
+        alpha = -np.expm1(-found.density[chosen] * limits.step)
         weight = light * alpha
         for k in range(3):
-            block.result[r, k] += weight * rgb[chosen, k]
+            block.result[r, k] += weight * found.rgb[chosen, k]
         block.result[r, 3] += weight
         block.result[r, 4] += weight * found.depth[chosen]
         if found.thing[chosen]:
@@ -92,34 +98,41 @@ def _integrate(n, limits, found, density, rgb, block):
 
 
 @inner
-def _render_block(
-    first, count, rays, volume, starts, parts, tables, net, limits, block, found, x, act, density, rgb, alive, out
-):  # fmt: skip
-    """Renders ``count`` rays from ``first``; returns how often the field was evaluated."""
-    aim(rays, parts, limits.step, first, count, block)
+def trace_block(count, keep, n, volume, starts, parts, tables, net, limits, block, found, act):
+    """Traces a block whose ``count`` rays are ready.
+
+    Args:
+        keep: whether candidates are kept, after the ``n`` there are; else each wave overwrites the last.
+
+    Returns:
+        candidates in ``found``, or −1 where they need more room; and how often the field was evaluated.
+    """
     living, evaluated = count, 0
     for r in range(count):
-        alive[r] = r
+        block.alive[r] = r
     while living > 0:
+        begin = n if keep else 0
+        if begin + ROOM > len(found.ray):
+            return -1, evaluated
         wanted = min(max(RAYS // living, 1), AHEAD)
-        n = 0
+        n = begin
         for index in range(living):
-            n = advance(alive[index], wanted, n, volume, starts, parts, limits.root, limits.apart, block, found)
-        _evaluate(n, tables, net, found, x, act, density, rgb)
-        _integrate(n, limits, found, density, rgb, block)
-        evaluated += n
+            n = advance(
+                block.alive[index], wanted, n, begin + ROOM, volume, starts, parts, limits.root, limits.apart, block,
+                found,
+            )  # fmt: skip
+        _evaluate(begin, n, tables, net, found, act)
+        _integrate(begin, n, limits, found, block)
+        evaluated += n - begin
         left = 0
         for index in range(living):
-            r = alive[index]
+            r = block.alive[index]
             depth = block.begin[r] + np.float32(block.sample[r]) * block.pace[r]
             if block.light[r] >= limits.stop and depth < block.far[r]:
-                alive[left] = r
+                block.alive[left] = r
                 left += 1
         living = left
-    for r in range(count):
-        for k in range(COLUMNS):
-            out[(first + r) // (rays.side * rays.side), k] += block.result[r, k]
-    return evaluated
+    return n, evaluated
 
 
 @entry
@@ -133,14 +146,15 @@ def render(begin, end, rays, volume, starts, parts, tables, net, limits, out):
     Returns:
         How often the field was evaluated.
     """
-    block, found = make_block(len(parts.slot_part), starts.starts.shape[1]), make_candidates()
-    act, x = make_activations(net), np.zeros((ROOM, net.both.shape[0]), np.float32)
-    density, rgb = np.empty(ROOM, np.float32), np.empty((ROOM, 3), np.float32)
-    alive = np.empty(RAYS, np.int64)
+    block = make_block(len(parts.slot_part), starts.starts.shape[1])
+    found, act = make_candidates(ROOM, net.both.shape[0], 0), make_activations(net)
     a_pixel, evaluated = rays.side * rays.side, 0
     for first in range(begin * a_pixel, end * a_pixel, RAYS):
-        evaluated += _render_block(
-            first, min(RAYS, end * a_pixel - first), rays, volume, starts, parts, tables, net, limits, block, found, x,
-            act, density, rgb, alive, out,
-        )  # fmt: skip
+        count = min(RAYS, end * a_pixel - first)
+        aim(rays, parts, limits.step, first, count, block)
+        _, more = trace_block(count, False, 0, volume, starts, parts, tables, net, limits, block, found, act)
+        evaluated += more
+        for r in range(count):
+            for k in range(COLUMNS):
+                out[(first + r) // a_pixel, k] += block.result[r, k]
     return evaluated

@@ -59,7 +59,7 @@ def invert(
     Args:
         posed: [M, 3] root-space points, metres; starts: [M, 3] canonical.
         pose: [M] int32 index of each point's pose.
-        matrices: [rows, 12] blended matrices of all poses.
+        matrices: [rows, 12 or more] blended matrices of all poses.
         nodes: concatenated node indices of all volumes; first_node, dims [P, 3], first_row, origins [P, 3]: where a
             pose's volume begins in ``nodes``, its size, its first row in ``matrices`` and its lower corner.
         steps: Newton steps at most; tolerance: residual that ends the search, metres; max_step: metres a step.
@@ -100,7 +100,7 @@ def invert(
         residuals[m] = best
 
 
-@njit(fastmath=True, cache=True)
+@njit(fastmath=True, nogil=True, cache=True)
 def invert_backward(
     roots, grad_roots, pose, matrices, nodes, first_node, dims, first_row, origins, inverse_cell, min_determinant,
     grad_matrices,

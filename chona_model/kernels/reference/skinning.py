@@ -106,7 +106,7 @@ class _Volume:
         nx, ny = self.dims[:, :1], self.dims[:, 1:2]
         node = self.nodes[self.first_node[:, None] + x + nx * (y + ny * z)]
         # Not matrices[...]: the gradient of that adds up in whatever order threads arrive.
-        blended = embedding(self.first_row[:, None] + node, matrices).unflatten(-1, (3, 4))
+        blended = embedding(self.first_row[:, None] + node, matrices)[..., :12].unflatten(-1, (3, 4))
         along = torch.where(self.offsets.bool(), share, 1.0 - share)
         wx, wy, wz = along.unbind(dim=-1)
         weight = wx * wy * wz

@@ -1,0 +1,56 @@
+"""A grid model's parts as the fused kernels take them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chona_model.grid_model import GridModel, PosedFigure
+from chona_model.kernels.cpu import advance, newton
+from chona_model.kernels.cpu import render as fused
+from chona_model.render.occupancy import Occupancy
+from chona_model.render.posed import POSED_CELL, PosedPart
+
+APART = 0.01
+"""Roots of one sample nearer than this are one, metres."""
+
+
+def starts_of(part: PosedPart) -> advance.Starts:
+    """A posed start grid."""
+    marked = (part.starts[:, 0] >= 0).view(np.uint8)
+    return advance.Starts(marked, part.starts, part.centres, part.dims, part.origin, np.float32(1 / POSED_CELL))
+
+
+def parts_of(model: GridModel, posed: PosedFigure, occupancy: Occupancy | None = None) -> advance.Parts:
+    """Occupancy (the model's own where none is given) and the parts that a pose shows."""
+    occupancy, slots = occupancy or model.occupancy, model.shape.object_slots
+    slot_part = np.full(slots, -1, dtype=np.int32)
+    slot_part[: len(posed.objects)] = [len(model.persons) + thing for thing in posed.objects]
+    return advance.Parts(
+        occupancy.densities, occupancy.first, occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell),
+        posed.person, slot_part, np.ascontiguousarray(posed.slots).reshape(slots, 3, 4),
+    )  # fmt: skip
+
+
+def volume_of(model: GridModel, posed: PosedFigure, matrices: np.ndarray) -> newton.Volume:
+    """Blended matrices [M, 16] of a pose on its person's grid; a stand-in where there is no person."""
+    if posed.person < 0:
+        nodes, dims = np.zeros(1, dtype=np.int32), np.full(3, 2, dtype=np.int64)
+        return newton.Volume(np.zeros((1, 16), np.float32), nodes, dims, np.zeros(3, np.float32), np.float32(1.0))
+    grid = model.grid(posed.person)
+    origin, inverse_cell = grid.origin.astype(np.float32), np.float32(1 / model.shape.node_cell)
+    return newton.Volume(matrices, grid.nodes, grid.dims, origin, inverse_cell)
+
+
+def tables_of(model: GridModel) -> fused.Tables:
+    """The field's grids."""
+    field = model.field
+    layout, scale = field.layout.arguments(), np.float32(field.shape.density_scale)
+    return fused.Tables(field.table.detach().numpy(), field.lower.numpy(), *layout, scale)
+
+
+def limits_of(step: float, stop: float, steps: int, tolerance: float, longest: float, accept: float) -> fused.Limits:
+    """Distance between samples and transmittance that ends a ray; Newton's limits (see ``newton.RootLimits``)."""
+    real = np.float32
+    return fused.Limits(
+        real(step), real(stop), real(APART), newton.RootLimits(steps, real(tolerance), real(longest), real(accept))
+    )
