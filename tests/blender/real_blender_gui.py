@@ -20,6 +20,8 @@ import bpy
 package, model, python, out = (Path(part) for part in sys.argv[sys.argv.index("--") + 1 :][:4])
 answer: dict = {"version": list(bpy.app.version), "steps": []}
 CLOSED_HEADERS = {"worker": 296, "train": 268, "capture": 240}  # below Model, in a window of 1280 x 860
+REAL_MODEL = 1_000_000
+"""Bytes: smaller files are headers without tensors, which only look like models."""
 SLOW_WORKER = """
 import json, sys, time
 def say(**event): print(json.dumps(event), flush=True)
@@ -119,6 +121,8 @@ def story() -> Iterator[float]:
     yield from redraw()
     picture("05_cancelled")
 
+    if model.stat().st_size > REAL_MODEL:
+        yield from bake_for_real()
     show_only_closed_panels()
     yield from redraw()
     yield from open_panel("worker")
@@ -130,6 +134,34 @@ def story() -> Iterator[float]:
     yield from until_idle(120.0)
     answer["captured"] = [module("jobs").board.last.status, module("jobs").board.last.report]
     answer["data folder"] = scene.chona.data_folder
+
+
+def bake_for_real() -> Iterator[float]:
+    """A posed figure before the camera, baked by the real worker, composited and rendered with the scene."""
+    scene, armature = bpy.context.scene, bpy.context.scene.chona.armature
+    scene.render.engine, scene.cycles.samples = "CYCLES", 8
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 480, 360, 100
+    scene.camera.location, scene.camera.rotation_euler = (1.6, -3.6, 1.6), (1.33, 0.0, 0.42)
+    bpy.ops.mesh.primitive_plane_add(size=8.0)
+    bpy.ops.object.light_add(type="SUN", rotation=(0.5, 0.3, 0.0))
+    for frame, turn in ((1, -0.4), (3, 0.4)):
+        bone = armature.pose.bones[min(2, len(armature.pose.bones) - 1)]
+        bone.rotation_mode = "XYZ"
+        bone.rotation_euler = (0.0, turn, 0.0)
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 3
+    scene.chona.output_folder, scene.chona.composite_after = str(out / "real_frames"), True
+    answer["real bake"] = list(call("bake", "INVOKE_DEFAULT"))
+    yield 3.0
+    picture("08_real_bake_runs")
+    yield from until_idle(180.0)
+    answer["real bake ended"] = [module("jobs").board.last.status, module("jobs").board.last.report]
+    answer["real frames"] = sorted(path.name for path in (out / "real_frames").iterdir())
+    yield from redraw()
+    picture("09_real_bake_done")
+    scene.frame_set(2)
+    scene.render.filepath = str(out / "10_composited.png")
+    bpy.ops.render.render(write_still=True)
 
 
 def redraw(times: int = 4) -> Iterator[float]:
