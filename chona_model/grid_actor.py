@@ -15,6 +15,7 @@ from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
+from chona_model.grid_inputs import occupied_cells
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view
 from chona_model.render.occupancy import Occupancy, PartCells, whole_support
@@ -37,7 +38,7 @@ class GridActor:
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
         self._poses: dict[tuple[Any, ...], ReadyPose] = {}
-        self._cells: dict[bool, tuple[Occupancy, list[PartCells]]] = {}
+        self._cells: dict[bool, tuple[Occupancy, np.ndarray, list[PartCells]]] = {}
 
     def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
         """Renders a view.
@@ -61,15 +62,17 @@ class GridActor:
         if key not in self._poses:
             while len(self._poses) >= KEPT_POSES:
                 self._poses.pop(next(iter(self._poses)))
-            occupancy, cells = self._occupied(settings.occupancy)
+            occupancy, occupied, cells = self._occupied(settings.occupancy)
             posed = self.model.posed(pose)
-            self._poses[key] = make_ready(self.model, posed, occupancy, cells, settings.offset, settings.shading)
+            self._poses[key] = make_ready(
+                self.model, posed, occupancy, occupied, cells, settings.offset, settings.shading
+            )
         return self._poses[key]
 
-    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, list[PartCells]]:
+    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, np.ndarray, list[PartCells]]:
         if skip_empty not in self._cells:
             occupancy = self.model.occupancy if skip_empty else whole_support(self.model.occupancy)
-            self._cells[skip_empty] = occupancy, self.model.cells(occupancy)
+            self._cells[skip_empty] = occupancy, occupied_cells(occupancy), self.model.cells(occupancy)
         return self._cells[skip_empty]
 
     def tensors(self) -> dict[str, Tensor]:

@@ -175,6 +175,14 @@ class GridModel(nn.Module):
         matrices = torch.cat(present) if present else torch.zeros(1, 16)
         return matrices, self._index(poses, np.concatenate([[0], np.cumsum(lengths)])[:-1])
 
+    def rendering_matrices(self, pose: PosedFigure, offset: bool = True) -> Tensor:
+        """Blended matrices of one pose [M, 16] without gradients, from weights that are kept; see ``blend_padded``."""
+        if pose.person < 0:
+            return torch.zeros(1, 16)
+        codes = torch.as_tensor(pose.code[None], dtype=torch.float32) if offset else None
+        transforms = torch.from_numpy(pose.figure.transforms[: len(self.skeleton)].astype(np.float32))
+        return self.volume(pose.person).blend_padded(transforms, codes)
+
     def _index(self, poses: Sequence[PosedFigure], first_row: np.ndarray) -> VolumeIndex:
         grids = [self.grid(index) for index in range(len(self.persons))]
         begin = np.concatenate([[0], np.cumsum([len(grid.nodes) for grid in grids])])

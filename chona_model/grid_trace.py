@@ -10,15 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.grid_inputs import limits_of, parts_of, starts_of, tables_of, volume_of
+from chona_model.grid_inputs import limits_of, tables_of, volume_of
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels import perceptron
-from chona_model.kernels.cpu import advance, encode, newton, skinning
+from chona_model.kernels.cpu import advance, encode, skinning
 from chona_model.kernels.cpu import perceptron as network_kernels
 from chona_model.kernels.cpu import sample as kernels
 from chona_model.kernels.threads import in_pieces
-from chona_model.kernels.warp import MIN_DETERMINANT, VolumeIndex
-from chona_model.render.posed import PosedPart
+from chona_model.kernels.warp import MIN_DETERMINANT
 from chona_model.render.tracing import TraceSettings
 
 cpu: Any = kernels
@@ -31,12 +30,14 @@ class PoseRays:
     """Rays of one pose; float32 arrays as in ``kernels.cpu.sample.GivenRays``.
 
     Attributes:
-        posed, part: the pose and its start grid.
+        posed: the pose; matrices: [M, 16] its blended matrices; starts, parts: see ``grid_inputs``.
         pair: [R, N] int64 rows of the identity pairs in use, a column a slot.
     """
 
     posed: PosedFigure
-    part: PosedPart
+    matrices: Tensor
+    starts: advance.Starts
+    parts: advance.Parts
     origins: np.ndarray
     directions: np.ndarray
     near: np.ndarray
@@ -59,13 +60,11 @@ class _Piece:
 
 
 def trace_rays(
-    model: GridModel, rays: Sequence[PoseRays], matrices: Tensor, index: VolumeIndex, pairs: Tensor,
-    codes: Tensor | None, settings: TraceSettings,
-) -> tuple[Tensor, int]:  # fmt: skip
+    model: GridModel, rays: Sequence[PoseRays], pairs: Tensor, codes: Tensor | None, settings: TraceSettings
+) -> tuple[Tensor, int]:
     """Traces rays, differentiable in the field and in the matrices; the tables' gradient goes to the field's buffer.
 
     Args:
-        rays: of each pose, in the order of ``matrices``; matrices, index: from ``GridModel.matrices`` of the poses.
         pairs: [Q, 2] identity pairs; codes: [P, C] pose codes, or None for no shading.
 
     Returns:
@@ -73,16 +72,16 @@ def trace_rays(
         evaluated.
     """
     weights = model.field.weights(model.field.codes(pairs), codes)
-    work = _Work(model, rays, index, settings)
-    out = _Trace.apply(work, matrices, *weights.tensors())
+    work = _Work(model, rays, settings)
+    out = _Trace.apply(work, *(each.matrices for each in rays), *weights.tensors())
     return out, work.evaluated
 
 
 class _Work:
     """What both ways of one pass share, besides tensors."""
 
-    def __init__(self, model: GridModel, rays: Sequence[PoseRays], index: VolumeIndex, settings: TraceSettings) -> None:
-        self.model, self.rays, self.index, self.settings = model, rays, index, settings
+    def __init__(self, model: GridModel, rays: Sequence[PoseRays], settings: TraceSettings) -> None:
+        self.model, self.rays = model, rays
         self.tables = tables_of(model)
         root = settings.newton
         self.limits = limits_of(
@@ -95,24 +94,17 @@ class _Work:
         ]
         self.evaluated = 0
 
-    def volume(self, pose: int, matrices: np.ndarray) -> newton.Volume:
-        posed, row = self.rays[pose].posed, self.index.first_row[pose]
-        count = len(self.model.grid(posed.person).points) if posed.person >= 0 else 0
-        return volume_of(self.model, posed, matrices[row : row + count])
-
     def in_threads(self, work: Any, count: int) -> None:
         in_pieces(lambda begin, _: work(begin), count, 1)
 
 
 class _Trace(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, work: _Work, matrices: Tensor, *weights: Tensor | None) -> Tensor:
-        network = perceptron.pack(perceptron.FieldWeights(*weights))  # type: ignore[arg-type]
-        model, rows = work.model, matrices.detach().numpy()
+    def forward(ctx: Any, work: _Work, *tensors: Tensor | None) -> Tensor:
+        weights: Any = tensors[len(work.rays) :]
+        network = perceptron.pack(perceptron.FieldWeights(*weights))
         out = [np.empty((len(each.near), advance.COLUMNS), dtype=np.float32) for each in work.rays]
-        volumes = [work.volume(pose, rows) for pose in range(len(work.rays))]
-        starts = [starts_of(each.part) for each in work.rays]
-        parts = [parts_of(model, each.posed) for each in work.rays]
+        volumes = [volume_of(work.model, each.posed, each.matrices.detach().numpy()) for each in work.rays]
 
         def run(number: int) -> None:
             piece = work.pieces[number]
@@ -122,22 +114,23 @@ class _Trace(torch.autograd.Function):
                 min(pose, max(len(network.shade_bias) - 1, 0)),
             )  # fmt: skip
             piece.found, piece.first, piece.order = cpu.sample(
-                piece.begin, piece.end, given, volumes[pose], starts[pose], parts[pose], work.tables, network,
+                piece.begin, piece.end, given, volumes[pose], each.starts, each.parts, work.tables, network,
                 work.limits, out[pose],
             )  # fmt: skip
 
         work.in_threads(run, len(work.pieces))
         work.evaluated = sum(len(piece.order) for piece in work.pieces)
         ctx.work, ctx.network = work, network
-        ctx.save_for_backward(matrices, *weights)
+        ctx.save_for_backward(*weights)
         return torch.from_numpy(np.concatenate(out)[:, :6])
 
     @staticmethod
     def backward(ctx: Any, grad_out: Tensor) -> tuple[Any, ...]:
         work, network = ctx.work, ctx.network
-        matrices, *weights = ctx.saved_tensors
+        weights: Any = ctx.saved_tensors
         grads = np.split(grad_out.contiguous().numpy(), np.cumsum([len(each.near) for each in work.rays])[:-1])
-        transposed, skins = perceptron.transpose(network), ctx.needs_input_grad[1]
+        transposed = perceptron.transpose(network)
+        skins = [bool(needed) for needed in ctx.needs_input_grad[1 : 1 + len(work.rays)]]
         sums = [network_kernels.Network(*(np.zeros_like(array) for array in network)) for _ in work.pieces]
         encoded: list[Any] = [None] * len(work.pieces)
 
@@ -155,7 +148,7 @@ class _Trace(torch.autograd.Function):
                 grad_rgb, grad_x, sums[number],
             )  # fmt: skip
             encoded[number] = grad_x
-            if skins:
+            if skins[piece.pose]:
                 piece.grad_points = np.empty((count, 3), np.float32)
                 encode.encode_backward_points(
                     0, count, found.point, found.part, work.tables.lower, work.tables.table, grad_x,
@@ -163,35 +156,39 @@ class _Trace(torch.autograd.Function):
                 )  # fmt: skip
 
         work.in_threads(run, len(work.pieces))
-        buffer = work.model.field.gradient.buffer.numpy()
+        gradient = work.model.field.gradient
+        buffer = gradient.buffer.numpy()
 
         def scatter(level: int) -> None:
             for piece, grad_x in zip(work.pieces, encoded, strict=True):
                 encode.encode_backward_table(
                     level, piece.found.point, piece.found.part, work.tables.lower, grad_x,
-                    *work.model.field.layout.arguments(), buffer,
+                    *work.model.field.layout.arguments(), buffer, gradient.touched,
                 )  # fmt: skip
 
         work.in_threads(scatter, work.model.field.layout.levels)
-        grad_matrices = _grad_matrices(work, matrices) if skins else None
+        grad_matrices: list[Any] = [None] * len(work.rays)
+
+        def through_roots(pose: int) -> None:
+            if skins[pose]:
+                grad_matrices[pose] = _grad_matrices(work, pose)
+
+        work.in_threads(through_roots, len(work.rays))
         total = network_kernels.Network(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
-        return None, grad_matrices, *perceptron.unpack(total, perceptron.FieldWeights(*weights))
+        return None, *grad_matrices, *perceptron.unpack(total, perceptron.FieldWeights(*weights))
 
 
-def _grad_matrices(work: _Work, matrices: Tensor) -> Tensor:
-    """Through the roots of samples on persons, by the implicit function theorem; a thread a pose."""
-    grad, index = torch.zeros_like(matrices), work.index
-
-    def run(pose: int) -> None:
-        for piece in work.pieces:
-            if piece.pose != pose:
-                continue
+def _grad_matrices(work: _Work, pose: int) -> Tensor:
+    """Through the roots of samples on the person, by the implicit function theorem."""
+    each = work.rays[pose]
+    grad, grid = torch.zeros_like(each.matrices), work.model.grid(each.posed.person)
+    begin, dims, origin = np.zeros(1, np.int64), grid.dims[None], grid.origin[None].astype(np.float32)
+    for piece in work.pieces:
+        if piece.pose == pose:
             body = np.flatnonzero(~piece.found.thing)
             skinning.invert_backward(
-                piece.found.point[body], piece.grad_points[body], np.full(len(body), pose, np.int32),
-                matrices.detach().numpy(), index.nodes, index.first_node, index.dims, index.first_row, index.origins,
-                np.float32(index.inverse_cell), np.float32(MIN_DETERMINANT), grad.numpy(),
+                piece.found.point[body], piece.grad_points[body], np.zeros(len(body), np.int32),
+                each.matrices.detach().numpy(), grid.nodes, begin, dims, begin, origin, np.float32(1 / grid.cell),
+                np.float32(MIN_DETERMINANT), grad.numpy(),
             )  # fmt: skip
-
-    work.in_threads(run, len(work.rays))
     return grad

@@ -59,31 +59,24 @@ class View:
 
 
 def make_ready(
-    model: GridModel, posed: PosedFigure, occupancy: Occupancy, cells: Sequence[PartCells], offset: bool, shading: bool
-) -> ReadyPose:
+    model: GridModel, posed: PosedFigure, occupancy: Occupancy, occupied: np.ndarray, cells: Sequence[PartCells],
+    offset: bool, shading: bool,
+) -> ReadyPose:  # fmt: skip
     """Blends the pose's matrices, marks its start grid and packs its conditioned weights.
 
     Args:
-        occupancy: which cells to sample; cells: of every part.
+        occupancy, occupied: which cells to sample (see ``occupied_cells``); cells: of every part.
         offset, shading: whether F_Δ and the ambient occlusion are applied.
     """
     with torch.inference_mode():
-        matrices = _matrices(model, posed, offset)
+        matrices = model.rendering_matrices(posed, offset).numpy()
         things = posed.objects or (-1,)
         codes = model.field.codes(torch.tensor([[posed.person, thing] for thing in things]))
         pose_code = torch.as_tensor(posed.code[None], dtype=torch.float32) if shading else None
         network = pack(model.field.weights(codes, pose_code))
     part = model.pose_cells(posed, cells, matrices)
-    volume, parts = volume_of(model, posed, matrices), parts_of(model, posed, occupancy)
+    volume, parts = volume_of(model, posed, matrices), parts_of(model, posed, occupancy, occupied)
     return ReadyPose(posed, part, volume, starts_of(part), parts, network)
-
-
-def _matrices(model: GridModel, posed: PosedFigure, offset: bool) -> np.ndarray:
-    if posed.person < 0:
-        return np.zeros((1, 16), np.float32)
-    codes = torch.as_tensor(posed.code[None], dtype=torch.float32) if offset else None
-    transforms = torch.from_numpy(posed.figure.transforms[: len(model.skeleton)].astype(np.float32))
-    return model.volume(posed.person).blend_padded(transforms, codes).numpy()
 
 
 def render_view(model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings) -> View:

@@ -58,10 +58,15 @@ def make_layout(extent: np.ndarray, coarsest: float, finest: float, levels: int,
 
 
 class TableGradient:
-    """The gradient of a grid table, accumulated in place by the kernel: no dense zero buffer a step."""
+    """The gradient of a grid table, accumulated in place by the kernel: no dense zero buffer a step.
+
+    Attributes:
+        buffer: [I, L, T, FEATURES]; touched: [I · L · T] uint8, rows whose gradient may not be zero.
+    """
 
     def __init__(self, table: Tensor) -> None:
         self.buffer = torch.zeros_like(table)
+        self.touched = np.zeros(table.numel() // FEATURES, dtype=np.uint8)
 
 
 class _Encode(torch.autograd.Function):
@@ -77,9 +82,12 @@ class _Encode(torch.autograd.Function):
     def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor | None, ...]:
         points, identity, table = ctx.saved_tensors
         head = (points.numpy(), identity.numpy(), np.zeros((len(table), 3), dtype=np.float32))
-        grad, buffer, arguments = grad_out.contiguous().numpy(), ctx.gradient.buffer.numpy(), ctx.layout.arguments()
+        grad, arguments = grad_out.contiguous().numpy(), ctx.layout.arguments()
+        buffer, touched = ctx.gradient.buffer.numpy(), ctx.gradient.touched
         in_pieces(
-            lambda level, _: cpu.encode_backward_table(level, *head, grad, *arguments, buffer), ctx.layout.levels, 1
+            lambda level, _: cpu.encode_backward_table(level, *head, grad, *arguments, buffer, touched),
+            ctx.layout.levels,
+            1,
         )
         grad_points = None
         if ctx.needs_input_grad[0]:

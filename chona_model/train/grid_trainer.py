@@ -13,12 +13,14 @@ from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
+from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.adam import adam_rows
 from chona_model.kernels.grid import FEATURES
+from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
-from chona_model.render.tracing import TraceSettings, make_pose_table
+from chona_model.render.tracing import TraceSettings
 from chona_model.train.errors import TrainingError
 from chona_model.train.hull import carve_hull
 from chona_model.train.objects import object_distance
@@ -37,6 +39,8 @@ class FastSettings:
             gradients through the root finder.
         refine_given_weights: whether weights that came from a body model are learned further; those guessed from bones
             always are.
+        part_loss: weight of the share of a ray that lands on the person where the masks say object, and the reverse.
+            What is always held would otherwise be learned as a part of the hand.
         random_background: composite prediction and target over one random colour a ray, so that dark clothes are
             told from an empty background; black otherwise, as in the paper.
         cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must
@@ -57,6 +61,7 @@ class FastSettings:
     skin_from: float = 0.25
     skin_every: int = 2
     refine_given_weights: bool = True
+    part_loss: float = 1.0
     random_background: bool = True
     cull_from: int = 128
     cull_until: int = 1024
@@ -64,6 +69,19 @@ class FastSettings:
     rebuild: tuple[int, ...] = (256, 512, 1024)
     trace: TraceSettings = TraceSettings(step=0.01, trust=0.8, stop=1e-2)
 
+
+def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
+    """[R] squared opacity that lies on the wrong part; ``part`` is 0 (neither), 1 (person) or 2 (object)."""
+    thing = out[:, 5]
+    wrong = torch.where(part == 1, thing, torch.where(part == 2, out[:, 3] - thing, torch.zeros(())))
+    return wrong**2
+
+
+KEPT_MATRICES = 64
+"""Poses whose blended matrices are kept: two megabytes each."""
+
+ADAM_PIECE = 1 << 17
+"""Rows of the tables that a thread updates at once."""
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
@@ -136,8 +154,11 @@ class GridTrainer:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
         self.built_from = {name: value.detach().clone() for name, value in self.model.volumes.state_dict().items()}
         self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
-        self.table = make_pose_table(self.model, self.posed)
-        self.pools = make_pools(self.table, self.groups)
+        cells = self.model.cells(self.model.occupancy)
+        parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
+        self.occupied, self.starts = occupied_cells(self.model.occupancy), [starts_of(part) for part in parts]
+        self.pools = make_pools(parts, self.posed, self.groups)
+        self._forget_matrices()
         self.usable = np.array([index for index, row in enumerate(self.pools) if row])
 
     def step(self, index: int, share: float) -> dict[str, float]:
@@ -161,27 +182,28 @@ class GridTrainer:
         rays = len(pose)
         skinning = self.learns_skinning and share >= settings.skin_from and index % settings.skin_every == 0
         figures = [self.posed[pose] for pose in chosen]
-        with torch.set_grad_enabled(skinning):
-            matrices, where = self.model.matrices(figures)
+        matrices = self._matrices(chosen, skinning)
         pairs, ray_pair = self._identities(pose, part, index)
         codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
         jitter = random.random(rays, dtype=np.float32)
         ends = np.cumsum([len(row[4]) for row in batch])
         pose_rays = [
             PoseRays(
-                figure, self.table.parts[number], row[0], row[1], row[2], row[3], jitter[end - len(row[4]) : end],
-                ray_pair[end - len(row[4]) : end],
+                figure, blended, self.starts[number], parts_of(self.model, figure, self.model.occupancy, self.occupied),
+                row[0], row[1], row[2], row[3], jitter[end - len(row[4]) : end], ray_pair[end - len(row[4]) : end],
             )
-            for number, figure, row, end in zip(chosen, figures, batch, ends, strict=True)
+            for number, figure, blended, row, end in zip(chosen, figures, matrices, batch, ends, strict=True)
         ]  # fmt: skip
-        out, _ = trace_rays(self.model, pose_rays, matrices, where, pairs, codes, settings.trace)
+        out, _ = trace_rays(self.model, pose_rays, pairs, codes, settings.trace)
         background = (
             np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
         )
         target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
         predicted = out[:, :3] + (1.0 - out[:, 3:4]) * torch.from_numpy(background)
         image_loss = ((predicted - torch.from_numpy(target)) ** 2).mean()
-        loss = image_loss + self._regularisers(figures) if skinning else image_loss
+        loss = image_loss + settings.part_loss * _wrong_part(out, torch.from_numpy(part)).mean()
+        if skinning:
+            loss = loss + self._regularisers(figures)
         if not torch.isfinite(loss):
             raise TrainingError(
                 f"the loss of step {index} is {float(loss)}; look for images with values that are not finite, or train "
@@ -190,8 +212,27 @@ class GridTrainer:
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._update(index, share)
+        if skinning:
+            self._forget_matrices()
         self._follow_density(index + 1)
         return {"loss": float(loss.detach()), "psnr": float(-10.0 * torch.log10(image_loss.detach().clamp(min=1e-10)))}
+
+    def _matrices(self, chosen: np.ndarray, skinning: bool) -> list[Tensor]:
+        """Blended matrices of each pose; those that need no gradient are kept until the skinning changes."""
+        if skinning:
+            return [self.model.matrices([self.posed[pose]])[0] for pose in chosen]
+        for pose in map(int, chosen):
+            if pose not in self._kept:
+                while len(self._kept) >= KEPT_MATRICES:
+                    self._kept.pop(next(iter(self._kept)))
+                with torch.no_grad():
+                    self._kept[pose] = self.model.rendering_matrices(self.posed[pose])
+        return [self._kept[int(pose)] for pose in chosen]
+
+    def _forget_matrices(self) -> None:
+        self._kept: dict[int, Tensor] = {}
+        for index in range(len(self.model.persons)):
+            self.model.volume(index).rendering_weights = None
 
     def _draw(self, pose: int, count: int, random: np.random.Generator) -> tuple[np.ndarray, ...]:
         """Rays of one pose from one of its views, jittered inside their pixels."""
@@ -244,13 +285,13 @@ class GridTrainer:
             group["lr"] = rate * decay
         self.optimiser.step()
         field = self.model.field
-        rows = (array.reshape(-1, FEATURES) for array in (
+        rows = [array.reshape(-1, FEATURES) for array in (
             field.table.detach().numpy(), field.gradient.buffer.numpy(), self.mean, self.square,
-        ))  # fmt: skip
+        )]  # fmt: skip
         corrections = (1.0 - BETAS[0] ** (index + 1), 1.0 - BETAS[1] ** (index + 1))
-        adam_rows(*rows, *(np.float32(value) for value in (
-            self.settings.grid_rate * decay, *BETAS, EPSILON, *corrections,
-        )))  # fmt: skip
+        factors = [np.float32(value) for value in (self.settings.grid_rate * decay, *BETAS, EPSILON, *corrections)]
+        touched = field.gradient.touched
+        in_pieces(lambda begin, end: adam_rows(begin, end, *rows, touched, *factors), len(touched), ADAM_PIECE)
 
     def _follow_density(self, done: int) -> None:
         """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
@@ -258,6 +299,7 @@ class GridTrainer:
             random = np.random.default_rng([self.seed, done, 1])
             for part in range(len(self.model.occupancy.dims)):
                 self._refresh(part, random)
+            self.occupied = occupied_cells(self.model.occupancy)
         if done in self.settings.rebuild:
             self._rebuild()
 
@@ -316,3 +358,5 @@ class GridTrainer:
         content = self.optimiser.state_dict()
         self.optimiser.load_state_dict({"state": adam, "param_groups": content["param_groups"]})
         self.model.occupancy.densities[:] = state["occupancy"].numpy()
+        self.occupied = occupied_cells(self.model.occupancy)
+        self._forget_matrices()

@@ -9,8 +9,8 @@ import numpy as np
 
 from chona_model.camera import Camera
 from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
-from chona_model.render.posed import depth_spans
-from chona_model.render.tracing import PoseTable
+from chona_model.grid_model import PosedFigure
+from chona_model.render.posed import PosedPart, depth_spans
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,15 @@ def _with_camera(view: View, camera: Camera) -> View:
     )
 
 
-def make_pools(table: PoseTable, groups: Sequence[PoseViews]) -> list[list[ViewPool]]:
+def make_pools(
+    parts: Sequence[PosedPart], posed: Sequence[PosedFigure], groups: Sequence[PoseViews]
+) -> list[list[ViewPool]]:
     """Pools of every pose's views; views that the hull does not reach are left out."""
     pools = []
     for index, group in enumerate(groups):
         row = []
         for view, pixels in zip(group.views, group.pixels, strict=True):
-            near, far = depth_spans(table.parts[index], table.poses[index].figure, view.camera)
+            near, far = depth_spans(parts[index], posed[index].figure, view.camera)
             rows, columns = np.nonzero(far > near)
             if len(rows) == 0:
                 continue

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from tiny_models import trained
 
 from chona_model import grid_trace
+from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
 from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.threads import in_pieces
 from chona_model.kernels.warp import NewtonLimits
@@ -34,11 +37,13 @@ class Case:
             pick = random.choice(len(rows), 300)
             places = np.stack([columns[pick], rows[pick]], axis=-1) + random.random((300, 2))
             origins, directions = self.posed[number].figure.rays(view.camera, places)
+            occupancy = self.model.occupancy
             self.rays.append(
                 PoseRays(
-                    self.posed[number], self.table.parts[number], origins.astype(np.float32),
-                    directions.astype(np.float32), near[rows, columns][pick], far[rows, columns][pick],
-                    random.random(300, dtype=np.float32), random.integers(4, size=(300, 1)),
+                    self.posed[number], torch.zeros(0), starts_of(self.table.parts[number]),
+                    parts_of(self.model, self.posed[number], occupancy, occupied_cells(occupancy)),
+                    origins.astype(np.float32), directions.astype(np.float32), near[rows, columns][pick],
+                    far[rows, columns][pick], random.random(300, dtype=np.float32), random.integers(4, size=(300, 1)),
                 )
             )  # fmt: skip
         self.codes = torch.as_tensor(np.stack([posed.code for posed in self.posed]), dtype=torch.float32)
@@ -48,9 +53,10 @@ class Case:
         """Results and gradients by parameter's name."""
         self.model.zero_grad()
         self.model.field.gradient.buffer.zero_()
-        matrices, index = self.model.matrices(self.posed)
         if fused:
-            out, _ = trace_rays(self.model, self.rays, matrices, index, self.pairs, self.codes, settings)
+            blended = [self.model.matrices([posed])[0] for posed in self.posed]
+            rays = [replace(rays, matrices=matrices) for rays, matrices in zip(self.rays, blended, strict=True)]
+            out, _ = trace_rays(self.model, rays, self.pairs, self.codes, settings)
         else:
             columns = [
                 np.concatenate([getattr(rays, name) for rays in self.rays])
@@ -59,6 +65,7 @@ class Case:
             pose = np.repeat(np.arange(2, dtype=np.int32), 300)
             pair = torch.from_numpy(np.concatenate([rays.pair[:, 0] for rays in self.rays]))
             jitter = np.concatenate([rays.jitter for rays in self.rays])
+            matrices, index = self.model.matrices(self.posed)
             out = trace(
                 self.model, self.table, matrices, index, np.arange(2, dtype=np.int32), tuple(columns), pose, jitter,
                 self.pairs, pair, self.codes, settings,

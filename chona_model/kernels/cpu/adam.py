@@ -1,24 +1,26 @@
-"""Adam on grid tables that touches only rows with a gradient, and clears the gradient in the same pass."""
+"""Adam on grid tables that visits only rows with a gradient, and clears the gradient in the same pass."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from chona_model.kernels.cpu.jit import entry
 
 
-@njit(parallel=True, fastmath=True, cache=True)
-def adam_rows(table, grad, mean, square, rate, beta1, beta2, epsilon, correction1, correction2):
-    """One step on [rows, FEATURES]; rows whose gradient is all zero stay as they are (as in instant-NGP).
+@entry
+def adam_rows(
+    begin, end, table, grad, mean, square, touched, rate, beta1, beta2, epsilon, correction1, correction2
+):  # fmt: skip
+    """One step on the rows ``begin`` to ``end`` of [rows, FEATURES]; the others' moments rest (as in instant-NGP).
 
     Args:
+        touched: [rows] uint8, which rows have a gradient; cleared.
         rate: learning rate; correction1, correction2: 1 − βᵗ of the step.
     """
     one = np.float32(1.0)
-    for r in prange(len(table)):
-        touched = False
-        for k in range(table.shape[1]):
-            touched |= grad[r, k] != 0.0
-        if touched:
+    for r in range(begin, end):
+        if touched[r]:
+            touched[r] = 0
             for k in range(table.shape[1]):
                 g = grad[r, k]
                 m = beta1 * mean[r, k] + (one - beta1) * g

@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit
 
 from chona_model.kernels.cpu.jit import inner
-from chona_model.kernels.cpu.march import cell_density
 from chona_model.kernels.cpu.newton import WORK, find_root, solve_jacobian
 
 RAYS = 128
@@ -46,16 +45,17 @@ class Rays(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Posed start grid (see ``posing.mark_starts``).
+    """Posed start grid (see ``posing.mark_starts``), without its empty cells: it must fit a core's cache.
 
     Attributes:
-        marked: [cells] uint8, whether there is a start; starts: [cells, chances] int32 into ``centres`` [V, 3].
+        row: [cells] int32 row of the cell's starts, −1 where there is none.
+        chances: [K] uint8 how many starts a row has; points: [K, chances, 3] float32 canonical starts, metres.
         dims: [3] int64; origin: [3] float32 metres; inverse_cell: 1/m.
     """
 
-    marked: np.ndarray
-    starts: np.ndarray
-    centres: np.ndarray
+    row: np.ndarray
+    chances: np.ndarray
+    points: np.ndarray
     dims: np.ndarray
     origin: np.ndarray
     inverse_cell: np.float32
@@ -65,11 +65,12 @@ class Parts(NamedTuple):
     """Occupancy of all parts, and which of them the pose shows.
 
     Attributes:
-        densities, first, dims, origins, inverse_cell: as in ``march.cell_density``.
+        occupied: [cells] uint8 of all parts, concatenated; first, dims, origins, inverse_cell: their grids (see
+            ``render.occupancy.Occupancy``).
         person: part of the person or −1; slot_part: [N] int32 part or −1; slot_matrix: [N, 3, 4] root space to part.
     """
 
-    densities: np.ndarray
+    occupied: np.ndarray
     first: np.ndarray
     dims: np.ndarray
     origins: np.ndarray
@@ -214,9 +215,25 @@ def _enter_slot(r, slot, parts, block):
 
 
 @inner
-def _invert(r, chance, start, t, x, y, z, volume, starts, limits, block):
+def _occupied(x, y, z, part, parts):
+    """Whether a point in a part's own frame lies in an occupied cell."""
+    zero = np.float32(0.0)
+    px = (x - parts.origins[part, 0]) * parts.inverse_cell
+    py = (y - parts.origins[part, 1]) * parts.inverse_cell
+    pz = (z - parts.origins[part, 2]) * parts.inverse_cell
+    if not (px >= zero and py >= zero and pz >= zero):
+        return False
+    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
+    nx, ny = parts.dims[part, 0], parts.dims[part, 1]
+    if ix >= nx or iy >= ny or iz >= parts.dims[part, 2]:
+        return False
+    return parts.occupied[parts.first[part] + ix + nx * (iy + ny * iz)] != 0
+
+
+@inner
+def _invert(r, chance, row, t, x, y, z, volume, starts, limits, block):
     """Canonical point and residual of a posed point, from the ray's last root or else from the cell's start."""
-    cx, cy, cz = starts.centres[start, 0], starts.centres[start, 1], starts.centres[start, 2]
+    cx, cy, cz = starts.points[row, chance, 0], starts.points[row, chance, 1], starts.points[row, chance, 2]
     if block.root_depth[r, chance] > np.float32(0.0):
         ahead = t - block.root_depth[r, chance]
         a = block.root[r, chance, 0] + ahead * block.slide[r, chance, 0]
@@ -243,14 +260,11 @@ def _push(found, n, ray, depth, part, pair, thing, x, y, z):
 
 
 @inner
-def _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block, found):
+def _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block, found):
     """Candidates of a sample on the person; returns the new number of candidates."""
     before = n
-    for chance in range(starts.starts.shape[1]):
-        start = starts.starts[cell, chance]
-        if start < 0:
-            break
-        cx, cy, cz, residual = _invert(r, chance, start, t, x, y, z, volume, starts, limits, block)
+    for chance in range(starts.chances[row]):
+        cx, cy, cz, residual = _invert(r, chance, row, t, x, y, z, volume, starts, limits, block)
         block.result[r, 7] += np.float32(1.0)
         if residual > limits.accept:
             block.result[r, 6] += np.float32(1.0)
@@ -259,10 +273,7 @@ def _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block
             a, b, c = found.point[before, 0] - cx, found.point[before, 1] - cy, found.point[before, 2] - cz
             if a * a + b * b + c * c < apart * apart:
                 continue
-        inside = cell_density(
-            cx, cy, cz, parts.person, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
-        )
-        if inside > 0.0:
+        if _occupied(cx, cy, cz, parts.person, parts):
             _push(found, n, r, t, parts.person, block.pair[r, 0], False, cx, cy, cz)
             n += 1
     return n
@@ -277,7 +288,7 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
     """
     zero = np.float32(0.0)
     nx, ny, nz = starts.dims[0], starts.dims[1], starts.dims[2]
-    room = full - starts.starts.shape[1] - len(parts.slot_part)
+    room = full - starts.points.shape[1] - len(parts.slot_part)
     sample, samples = block.sample[r], 0
     while samples < wanted and n <= room:
         t = block.begin[r] + np.float32(sample) * block.pace[r]
@@ -294,9 +305,9 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
         if px >= zero and py >= zero and pz >= zero:
             ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
             if ix < nx and iy < ny and iz < nz:
-                cell = ix + nx * (iy + ny * iz)
-                if starts.marked[cell]:
-                    n = _on_body(r, t, cell, n, x, y, z, volume, starts, parts, limits, apart, block, found)
+                row = starts.row[ix + nx * (iy + ny * iz)]
+                if row >= 0:
+                    n = _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block, found)
         for slot in range(len(parts.slot_part)):
             part = parts.slot_part[slot]
             if part < 0 or t < block.enter[r, slot] or t > block.leave[r, slot]:
@@ -304,10 +315,7 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
             lx = block.slot_origin[r, slot, 0] + t * block.slot_direction[r, slot, 0]
             ly = block.slot_origin[r, slot, 1] + t * block.slot_direction[r, slot, 1]
             lz = block.slot_origin[r, slot, 2] + t * block.slot_direction[r, slot, 2]
-            inside = cell_density(
-                lx, ly, lz, part, parts.densities, parts.first, parts.dims, parts.origins, parts.inverse_cell
-            )
-            if inside > zero:
+            if _occupied(lx, ly, lz, part, parts):
                 _push(found, n, r, t, part, block.pair[r, slot], True, lx, ly, lz)
                 n += 1
         if n > before:

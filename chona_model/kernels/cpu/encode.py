@@ -101,9 +101,13 @@ def encode(level, points, identity, lower, table, inverse_cells, dims, dense, ro
 
 @entry
 def encode_backward_table(
-    level, points, identity, lower, grad_out, inverse_cells, dims, dense, rows_per_level, grad_table
+    level, points, identity, lower, grad_out, inverse_cells, dims, dense, rows_per_level, grad_table, touched
 ):  # fmt: skip
-    """Adds one level's gradients to ``grad_table`` [I, L, T, FEATURES]; arguments as in ``encode``."""
+    """Adds one level's gradients to ``grad_table`` [I, L, T, FEATURES]; arguments as in ``encode``.
+
+    Args:
+        touched: [I · L · T] uint8, set to 1 for every row that was added to.
+    """
     zero, mask = np.float32(0.0), np.uint32(rows_per_level - 1)
     scale, is_dense, levels = inverse_cells[level], dense[level], grad_table.shape[1]
     nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
@@ -115,18 +119,19 @@ def encode_backward_table(
         )  # fmt: skip
         base = (which * levels + level) * rows_per_level
         grad = load4(grad_out, FEATURES * (m * levels + level))
-        _add_corner(grad_table, base + r[0], w[0], grad)
-        _add_corner(grad_table, base + r[1], w[1], grad)
-        _add_corner(grad_table, base + r[2], w[2], grad)
-        _add_corner(grad_table, base + r[3], w[3], grad)
-        _add_corner(grad_table, base + r[4], w[4], grad)
-        _add_corner(grad_table, base + r[5], w[5], grad)
-        _add_corner(grad_table, base + r[6], w[6], grad)
-        _add_corner(grad_table, base + r[7], w[7], grad)
+        _add_corner(grad_table, touched, base + r[0], w[0], grad)
+        _add_corner(grad_table, touched, base + r[1], w[1], grad)
+        _add_corner(grad_table, touched, base + r[2], w[2], grad)
+        _add_corner(grad_table, touched, base + r[3], w[3], grad)
+        _add_corner(grad_table, touched, base + r[4], w[4], grad)
+        _add_corner(grad_table, touched, base + r[5], w[5], grad)
+        _add_corner(grad_table, touched, base + r[6], w[6], grad)
+        _add_corner(grad_table, touched, base + r[7], w[7], grad)
 
 
 @inner
-def _add_corner(grad_table, row, weight, grad):
+def _add_corner(grad_table, touched, row, weight, grad):
+    touched[row] = 1
     store(grad_table, FEATURES * row, fma(splat4(weight), grad, load4(grad_table, FEATURES * row)))
 
 

@@ -146,7 +146,7 @@ def render(begin, end, rays, volume, starts, parts, tables, net, limits, out):
     Returns:
         How often the field was evaluated.
     """
-    block = make_block(len(parts.slot_part), starts.starts.shape[1])
+    block = make_block(len(parts.slot_part), starts.points.shape[1])
     found, act = make_candidates(ROOM, net.both.shape[0], 0), make_activations(net)
     a_pixel, evaluated = rays.side * rays.side, 0
     for first in range(begin * a_pixel, end * a_pixel, RAYS):

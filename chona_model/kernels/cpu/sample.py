@@ -51,7 +51,7 @@ def sample(begin, end, rays, volume, starts, parts, tables, net, limits, out):
         [M]: candidates of ray r in order of depth are ``order[first[r]:first[r + 1]]``.
     """
     inputs = net.both.shape[0]
-    block, act = make_block(len(parts.slot_part), starts.starts.shape[1]), make_activations(net)
+    block, act = make_block(len(parts.slot_part), starts.points.shape[1]), make_activations(net)
     found, n = make_candidates(16 * RAYS + ROOM, inputs, rays.pose), 0
     for block_begin in range(begin, end, RAYS):
         count, after = min(RAYS, end - block_begin), -1

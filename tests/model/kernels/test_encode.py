@@ -151,3 +151,13 @@ def test_no_points() -> None:
     points, identity, table = inputs(0, count=0)
     assert encode(points, identity, table, layout()).shape == (0, 5 * FEATURES)
     assert reference.encode(points, identity, table, layout()).shape == (0, 5 * FEATURES)
+
+
+def test_touched_rows_are_those_with_a_gradient() -> None:
+    points, identity, table = inputs(0)
+    table.requires_grad_()
+    gradient = TableGradient(table)
+    encode(points, identity, table, layout(), gradient).sum().backward()
+    rows = gradient.buffer.reshape(-1, FEATURES).any(dim=1).numpy()
+    assert (gradient.touched.astype(bool) >= rows).all()
+    assert gradient.touched.mean() < 0.9
