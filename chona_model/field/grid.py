@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
+from chona_model.kernels.cpu.simd import LANES
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
 from chona_model.kernels.perceptron import FieldWeights, evaluate
 
@@ -40,6 +41,13 @@ class GridShape:
     code: int = 8
     pose: int = 8
     density_scale: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.levels * FEATURES % LANES or self.hidden % LANES or not 0 < self.features < LANES:
+            raise ValueError(
+                f"the kernels want whole vectors of {LANES}: levels · {FEATURES} and hidden as multiples of it, "
+                f"features below it; got {self.levels} levels, {self.hidden} hidden units and {self.features} features"
+            )
 
 
 class GridField(nn.Module):

@@ -46,20 +46,20 @@ class FastSettings:
         cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must
             end: every refresh cuts a little off the soft outside of surfaces, learned anew inside the cut.
         rebuild: steps after which posed grids and pixel pools are made anew.
-        trace: shortcuts of ray tracing while training.
+        trace: shortcuts of ray tracing at first; fine_trace: those from the share ``fine_from`` of the schedule on.
     """
 
     rays: int = 2048
     poses: int = 4
-    grid_rate: float = 1e-2
-    mlp_rate: float = 2e-3
+    grid_rate: float = 6e-2
+    mlp_rate: float = 5e-3
     skin_rate: float = 2e-4
     offset_rate: float = 1e-5
     last_rate: float = 0.03
     weight_loss: float = 1.0
     offset_loss: float = 0.1
     skin_from: float = 0.25
-    skin_every: int = 2
+    skin_every: int = 4
     refine_given_weights: bool = True
     part_loss: float = 1.0
     random_background: bool = True
@@ -67,7 +67,9 @@ class FastSettings:
     cull_until: int = 1024
     cull_every: int = 64
     rebuild: tuple[int, ...] = (256, 512, 1024)
-    trace: TraceSettings = TraceSettings(step=0.01, trust=0.8, stop=1e-2)
+    trace: TraceSettings = TraceSettings(step=0.015, stop=3e-2)
+    fine_trace: TraceSettings = TraceSettings(step=0.01, stop=1e-2)
+    fine_from: float = 0.5
 
 
 def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
@@ -194,7 +196,9 @@ class GridTrainer:
             )
             for number, figure, blended, row, end in zip(chosen, figures, matrices, batch, ends, strict=True)
         ]  # fmt: skip
-        out, _ = trace_rays(self.model, pose_rays, pairs, codes, settings.trace)
+        out, _ = trace_rays(
+            self.model, pose_rays, pairs, codes, settings.trace if share < settings.fine_from else settings.fine_trace
+        )
         background = (
             np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
         )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from chona_model.kernels.cpu.jit import inner
+from chona_model.kernels.cpu.jit import inlined, inner
 from chona_model.kernels.cpu.newton import WORK, find_root, solve_jacobian
 
 RAYS = 128
@@ -174,7 +174,7 @@ def aim(rays, parts, step, first, count, block):
         start_ray(r, rays.near[pixel], rays.far[pixel], half, step, parts, block)
 
 
-@inner
+@inlined
 def start_ray(r, near, far, jitter, step, parts, block):
     """A ray whose origin, direction and pairs are set, at its near end, moved on by a share ``jitter`` of a step."""
     square = np.float32(0.0)
@@ -192,7 +192,7 @@ def start_ray(r, near, far, jitter, step, parts, block):
         block.result[r, k] = np.float32(0.0)
 
 
-@inner
+@inlined
 def _enter_slot(r, slot, parts, block):
     """The ray in an object's frame, and where it is inside the object's grid."""
     part = parts.slot_part[slot]
@@ -214,7 +214,7 @@ def _enter_slot(r, slot, parts, block):
     block.enter[r, slot], block.leave[r, slot] = enter, leave
 
 
-@inner
+@inlined
 def _occupied(x, y, z, part, parts):
     """Whether a point in a part's own frame lies in an occupied cell."""
     zero = np.float32(0.0)
@@ -230,7 +230,7 @@ def _occupied(x, y, z, part, parts):
     return parts.occupied[parts.first[part] + ix + nx * (iy + ny * iz)] != 0
 
 
-@inner
+@inlined
 def _invert(r, chance, row, t, x, y, z, volume, starts, limits, block):
     """Canonical point and residual of a posed point, from the ray's last root or else from the cell's start."""
     cx, cy, cz = starts.points[row, chance, 0], starts.points[row, chance, 1], starts.points[row, chance, 2]
@@ -253,7 +253,7 @@ def _invert(r, chance, row, t, x, y, z, volume, starts, limits, block):
     return cx, cy, cz, residual
 
 
-@inner
+@inlined
 def _push(found, n, ray, depth, part, pair, thing, x, y, z):
     found.ray[n], found.depth[n], found.part[n], found.pair[n], found.thing[n] = ray, depth, part, pair, thing
     found.point[n, 0], found.point[n, 1], found.point[n, 2] = x, y, z

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chona_model.kernels.cpu.jit import entry, inner
+from chona_model.kernels.cpu.jit import entry, inlined, inner
 from chona_model.kernels.cpu.simd import fma, load4, splat4, store
 
 FEATURES = 4
@@ -18,7 +18,7 @@ PRIME_Y = np.uint32(2654435761)
 PRIME_Z = np.uint32(805459861)
 
 
-@inner
+@inlined
 def corner_rows(ix, iy, iz, nx, ny, dense, mask):
     """Rows of a cell's eight corners, x fastest: plain indices where the level is dense, else the spatial hash."""
     if dense:
@@ -38,7 +38,7 @@ def corner_rows(ix, iy, iz, nx, ny, dense, mask):
     )  # fmt: skip
 
 
-@inner
+@inlined
 def corner_weights(fx, fy, fz):
     """Trilinear weights of a cell's eight corners, x fastest."""
     one = np.float32(1.0)
@@ -47,7 +47,7 @@ def corner_weights(fx, fy, fz):
     return gx * a, fx * a, gx * b, fx * b, gx * c, fx * c, gx * d, fx * d
 
 
-@inner
+@inlined
 def _corners(x, y, z, scale, nx, ny, nz, dense, mask):
     """Rows and weights of the corners around a point, metres from the part's lower corner."""
     px, py, pz = x * scale, y * scale, z * scale
@@ -129,7 +129,7 @@ def encode_backward_table(
         _add_corner(grad_table, touched, base + r[7], w[7], grad)
 
 
-@inner
+@inlined
 def _add_corner(grad_table, touched, row, weight, grad):
     touched[row] = 1
     store(grad_table, FEATURES * row, fma(splat4(weight), grad, load4(grad_table, FEATURES * row)))

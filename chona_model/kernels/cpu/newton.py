@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chona_model.kernels.cpu.jit import inner
+from chona_model.kernels.cpu.jit import inlined, inner
 from chona_model.kernels.cpu.simd import LANES, fma, load, splat, store
 
 SMALLEST_DETERMINANT = np.float32(0.05)
@@ -45,7 +45,7 @@ class RootLimits(NamedTuple):
     accept: np.float32
 
 
-@inner
+@inlined
 def _blend(x, y, z, volume, work):
     """A(x) and ∂A/∂x, ∂A/∂y, ∂A/∂z, sixteen floats each, to ``work``."""
     one, edge, zero = np.float32(1.0), np.float32(1e-3), np.float32(0.0)
@@ -71,13 +71,13 @@ def _blend(x, y, z, volume, work):
     store(work, 3 * LANES, along_z)
 
 
-@inner
+@inlined
 def _times(work, begin, x, y, z):
     """Row of a blended matrix times [x; 1]."""
     return work[begin] * x + work[begin + 1] * y + work[begin + 2] * z + work[begin + 3]
 
 
-@inner
+@inlined
 def solve_jacobian(work, x, y, z, r0, r1, r2):
     """J⁻¹ r at the point that ``work`` was blended at."""
     a = work[0] + _times(work, 16, x, y, z)

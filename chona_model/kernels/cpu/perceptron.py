@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from chona_model.kernels.cpu.jit import entry, inner
+from chona_model.kernels.cpu.jit import entry, inlined, inner
 from chona_model.kernels.cpu.matmul import add_product
 from chona_model.kernels.cpu.simd import LANES, load, maximum, sigmoid, softplus, splat, store, where_positive
 
@@ -78,7 +78,7 @@ def make_activations(net):
     )
 
 
-@inner
+@inlined
 def _copy_row(source, source_begin, target, target_begin, count):
     for k in range(0, count, LANES):
         store(target, target_begin + k, load(source, source_begin + k))
@@ -169,7 +169,7 @@ def forward(net, x, begin, end, pair, pose, scale, density, rgb):
                 rgb[first + r, k] = act.final[1 + k, r] * act.final[4, r]
 
 
-@inner
+@inlined
 def _add_row(source, source_begin, target, target_begin, count):
     for k in range(0, count, LANES):
         store(target, target_begin + k, load(target, target_begin + k) + load(source, source_begin + k))

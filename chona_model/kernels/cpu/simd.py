@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.extending import intrinsic, overload, register_model
 
-from chona_model.kernels.cpu.jit import inner
+from chona_model.kernels.cpu.jit import inlined
 
 LANES = 16
 """Lanes of the wide vector."""
@@ -205,7 +205,7 @@ for _operation, _instruction in (
     _arithmetic(_operation, _instruction)
 
 
-@inner
+@inlined
 def exp(x):
     """eˣ within 2 units in the last place; arguments beyond ±87 are taken as ±87."""
     x = minimum(maximum(x, splat(np.float32(-87.0))), splat(np.float32(87.0)))
@@ -223,14 +223,14 @@ def exp(x):
     return series * _power_of_two(whole)
 
 
-@inner
+@inlined
 def sigmoid(x):
     """1 / (1 + e⁻ˣ)."""
     one = splat(np.float32(1.0))
     return one / (one + exp(splat(np.float32(0.0)) - x))
 
 
-@inner
+@inlined
 def softplus(x):
     """ln(1 + eˣ), without overflow; by 2 artanh(u / (2 + u)) for the small part u = e^−|x|."""
     zero, two = splat(np.float32(0.0)), splat(np.float32(2.0))
