@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from chona_model.actor import EMPTY_DEPTH, Actor, Picture
-from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, write_frame
+from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.model_file import file_hash
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.model_store import load_actor
@@ -22,10 +22,11 @@ from chona_model.settings import RENDER_PRESETS, RenderSettings
 
 @dataclass(frozen=True)
 class BakeReport:
-    """What a bake did: frames written and skipped, and seconds it took."""
+    """What a bake did: frames written and skipped, those of the written that repeat an earlier one, and seconds."""
 
     written: int
     skipped: int
+    repeated: int
     seconds: float
 
 
@@ -36,7 +37,8 @@ def bake(
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
     A frame that is already there, whole, and of the same model, pose, camera and settings is skipped unless
-    ``overwrite``.  When cancelled, every frame on disk is a finished one.
+    ``overwrite``.  A frame that shows what an earlier one of this run shows is copied from it (holds, cycles).  When
+    cancelled, every frame on disk is a finished one.
 
     Args:
         frames: frame numbers to bake; None for all of the shot.
@@ -52,7 +54,8 @@ def bake(
     settings, digest = RENDER_PRESETS[preset], file_hash(model)
     _check_writable(out)
     began = time.perf_counter()
-    written = skipped = 0
+    written = skipped = repeated = 0
+    rendered: dict[str, Path] = {}
     progress.start("bake", len(chosen), unit="frame")
     for index in chosen:
         if progress.cancelled_by_user:
@@ -63,15 +66,20 @@ def bake(
             skipped += 1
         else:
             start = time.perf_counter()
-            layers = render_frame(actor, content, index, settings)
+            if key in rendered and rendered[key].is_file():
+                layers, _ = read_frame(rendered[key])
+                repeated += 1
+            else:
+                layers = render_frame(actor, content, index, settings)
+                rendered[key] = path
             seconds = time.perf_counter() - start
             header = FrameHeader(digest, key, preset, json.dumps(asdict(settings)), seconds, int(content.frames[index]))
             write_frame(path, layers, header)
             written += 1
         progress.update(written + skipped, path.name)
-    report = BakeReport(written, skipped, time.perf_counter() - began)
+    report = BakeReport(written, skipped, repeated, time.perf_counter() - began)
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
-    finish(written=written, skipped=skipped, seconds=round(report.seconds, 3), out=str(out))
+    finish(written=written, skipped=skipped, repeated=repeated, seconds=round(report.seconds, 3), out=str(out))
     return report
 
 

@@ -51,10 +51,14 @@ class GridActor:
         return self._render(pose, camera, settings)
 
     def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        view = render_view(self.model, self._ready(pose, settings), camera, settings)
+        view = render_view(self.model, self.ready(pose, settings), camera, settings)
         return _picture(camera, view) if len(view.rows) else empty_picture(camera)
 
-    def _ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose:
+    def forget_poses(self) -> None:
+        """Makes the next pose ready anew."""
+        self._poses.clear()
+
+    def ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose:
         """The pose made ready; the last few are kept, for several cameras and settings."""
         bones = None if pose.world_from_bone is None else pose.world_from_bone.tobytes()
         shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy)

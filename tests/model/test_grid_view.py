@@ -26,7 +26,7 @@ def scene(request: pytest.FixtureRequest):
 
 
 def ready(actor, view, settings):
-    return actor._ready(view.pose, settings)
+    return actor.ready(view.pose, settings)
 
 
 @pytest.mark.parametrize("changes", [{}, {"offset": False}, {"shading": False}])

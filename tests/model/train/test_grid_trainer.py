@@ -13,6 +13,7 @@ from chona_model.data.dataset import DatasetError, load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from chona_model.train.grid_trainer import _wrong_part
 
 
 def test_learns_what_the_pictures_show() -> None:
@@ -97,3 +98,10 @@ def test_masks_without_a_hull_are_refused(tmp_path) -> None:
         Image.fromarray(np.zeros((24, 32), dtype=np.uint8)).save(view.person_mask)
     with pytest.raises(DatasetError, match="no room for Sub01"):
         tiny_trainer(dataset)
+
+
+def test_opacity_on_the_wrong_part_costs() -> None:
+    """Columns: colour, alpha, depth, opacity on objects. Rays of neither part cost nothing here."""
+    out = torch.tensor([[0, 0, 0, 0.9, 0, 0.3], [0, 0, 0, 0.9, 0, 0.3], [0, 0, 0, 0.9, 0, 0.3]], dtype=torch.float32)
+    wrong = _wrong_part(out, torch.tensor([0, 1, 2], dtype=torch.int8))
+    torch.testing.assert_close(wrong, torch.tensor([0.0, 0.3**2, 0.6**2]))
