@@ -51,8 +51,8 @@ class FastSettings:
 
     rays: int = 2048
     poses: int = 4
-    grid_rate: float = 6e-2
-    mlp_rate: float = 5e-3
+    grid_rate: float = 3e-2
+    mlp_rate: float = 3e-3
     skin_rate: float = 2e-4
     offset_rate: float = 1e-5
     last_rate: float = 0.03
@@ -61,7 +61,7 @@ class FastSettings:
     skin_from: float = 0.25
     skin_every: int = 4
     refine_given_weights: bool = True
-    part_loss: float = 1.0
+    part_loss: float = 0.3
     random_background: bool = True
     cull_from: int = 128
     cull_until: int = 1024
