@@ -12,14 +12,16 @@ entry: Any = njit(nogil=True, cache=True)
 _any_njit: Any = njit  # its stub leaves ``_nrt`` out
 _RELAXED = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
-inner = _any_njit(_nrt=False, fastmath=_RELAXED)
-"""Called from other kernels: may not allocate, and does not count references to the arrays it is given.  Counting is a
+_INSIDE = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+inner = _any_njit(**_INSIDE, fastmath=_RELAXED)
+"""Called from other kernels alone: may not allocate, and does not count references to the arrays it is given.  Counting is a
 locked instruction for every array of every call, and cores fight over the counters.
 
 Sums may be reordered; infinities and NaNs keep their meaning."""
 
-inlined = _any_njit(_nrt=False, fastmath=_RELAXED, forceinline=True)
+inlined = _any_njit(**_INSIDE, fastmath=_RELAXED, forceinline=True)
 """``inner`` for a few lines that are called per point: their results would otherwise go through memory."""
 
-strict = _any_njit(_nrt=False)
+strict = _any_njit(**_INSIDE)
 """``inner`` where every operation must round as it is written."""
