@@ -15,8 +15,8 @@ _RELAXED = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _INSIDE = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 inner = _any_njit(**_INSIDE, fastmath=_RELAXED)
-"""Called from other kernels alone: may not allocate, and does not count references to the arrays it is given.  Counting is a
-locked instruction for every array of every call, and cores fight over the counters.
+"""Called from other kernels alone: may not allocate, and does not count references to the arrays it is given.  Counting
+is a locked instruction for every array of every call, and cores fight over the counters.
 
 Sums may be reordered; infinities and NaNs keep their meaning."""
 
