@@ -27,23 +27,18 @@ PIECE = 256
 
 @dataclass(frozen=True)
 class PoseRays:
-    """Rays of one pose; float32 arrays as in ``kernels.cpu.sample.GivenRays``.
+    """Rays of one pose.
 
     Attributes:
         posed: the pose; matrices: [M, 16] its blended matrices; starts, parts: see ``grid_inputs``.
-        pair: [R, N] int64 rows of the identity pairs in use, a column a slot.
+        given: the rays; their ``pose`` is the pose's place in the batch.
     """
 
     posed: PosedFigure
     matrices: Tensor
     starts: advance.Starts
     parts: advance.Parts
-    origins: np.ndarray
-    directions: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
-    jitter: np.ndarray
-    pair: np.ndarray
+    given: kernels.GivenRays
 
 
 @dataclass
@@ -88,9 +83,9 @@ class _Work:
             settings.step, settings.stop, root.steps, root.tolerance, root.max_step, settings.accept
         )
         self.pieces = [
-            _Piece(pose, begin, min(begin + PIECE, len(each.near)))
+            _Piece(pose, begin, min(begin + PIECE, len(each.given.near)))
             for pose, each in enumerate(rays)
-            for begin in range(0, len(each.near), PIECE)
+            for begin in range(0, len(each.given.near), PIECE)
         ]
         self.evaluated = 0
 
@@ -103,18 +98,14 @@ class _Trace(torch.autograd.Function):
     def forward(ctx: Any, work: _Work, *tensors: Tensor | None) -> Tensor:
         weights: Any = tensors[len(work.rays) :]
         network = perceptron.pack(perceptron.FieldWeights(*weights))
-        out = [np.empty((len(each.near), advance.COLUMNS), dtype=np.float32) for each in work.rays]
+        out = [np.empty((len(each.given.near), advance.COLUMNS), dtype=np.float32) for each in work.rays]
         volumes = [volume_of(work.model, each.posed, each.matrices.detach().numpy()) for each in work.rays]
 
         def run(number: int) -> None:
             piece = work.pieces[number]
             each, pose = work.rays[piece.pose], piece.pose
-            given = kernels.GivenRays(
-                each.origins, each.directions, each.near, each.far, each.jitter, each.pair,
-                min(pose, max(len(network.shade_bias) - 1, 0)),
-            )  # fmt: skip
             piece.found, piece.first, piece.order = cpu.sample(
-                piece.begin, piece.end, given, volumes[pose], each.starts, each.parts, work.tables, network,
+                piece.begin, piece.end, each.given, volumes[pose], each.starts, each.parts, work.tables, network,
                 work.limits, out[pose],
             )  # fmt: skip
 
@@ -128,7 +119,7 @@ class _Trace(torch.autograd.Function):
     def backward(ctx: Any, grad_out: Tensor) -> tuple[Any, ...]:
         work, network = ctx.work, ctx.network
         weights: Any = ctx.saved_tensors
-        grads = np.split(grad_out.contiguous().numpy(), np.cumsum([len(each.near) for each in work.rays])[:-1])
+        grads = np.split(grad_out.contiguous().numpy(), np.cumsum([len(each.given.near) for each in work.rays])[:-1])
         transposed = perceptron.transpose(network)
         skins = [bool(needed) for needed in ctx.needs_input_grad[1 : 1 + len(work.rays)]]
         sums = [network_kernels.Network(*(np.zeros_like(array) for array in network)) for _ in work.pieces]

@@ -58,7 +58,6 @@ class RenderSettings:
         step: distance between samples, metres (models on grids).
         newton_steps: Newton steps at most in the voxel volume.
         stop: transmittance behind which nothing is evaluated; 0 evaluates everything.
-        trust: share of cached densities that counts when deciding what is hidden.
         supersampling: rays a pixel along each axis.
         occupancy: whether empty cells of the occupancy grids are skipped.
         offset, shading: whether F_Δ and the ambient occlusion are applied.
@@ -70,7 +69,6 @@ class RenderSettings:
     step: float
     newton_steps: int
     stop: float
-    trust: float = 0.5
     supersampling: int = 1
     occupancy: bool = True
     offset: bool = True
@@ -81,11 +79,11 @@ class RenderSettings:
 
 RENDER_PRESETS = {
     "draft": RenderSettings(
-        "draft", step=0.016, newton_steps=2, stop=0.05, trust=0.8, offset=False, resolution=0.5,
+        "draft", step=0.016, newton_steps=2, stop=0.05, offset=False, resolution=0.5,
         exact=ExactSettings(samples=24, inverse=InverseSettings(starts=1, steps=8, tolerance=1e-4)),
     ),
     "preview": RenderSettings(
-        "preview", step=0.012, newton_steps=3, stop=0.02, trust=0.8,
+        "preview", step=0.012, newton_steps=3, stop=0.02,
         exact=ExactSettings(samples=32, inverse=InverseSettings(starts=2, steps=12, tolerance=1e-4)),
     ),
     "final": RenderSettings("final", step=0.008, newton_steps=4, stop=0.003, supersampling=2),

@@ -27,7 +27,6 @@ class TraceSettings:
         accept: residual up to which a root counts, metres.
         trust: share of cached densities that counts when deciding what is hidden.
         stop: transmittance behind which nothing is evaluated; 0 evaluates everything.
-        shading: whether the ambient occlusion is applied.
     """
 
     step: float = 0.01
@@ -35,7 +34,6 @@ class TraceSettings:
     accept: float = 0.002
     trust: float = 0.5
     stop: float = 1e-3
-    shading: bool = True
 
 
 @dataclass(frozen=True)

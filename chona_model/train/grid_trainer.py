@@ -17,6 +17,7 @@ from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.adam import adam_rows
+from chona_model.kernels.cpu.sample import GivenRays
 from chona_model.kernels.grid import FEATURES
 from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
@@ -189,13 +190,12 @@ class GridTrainer:
         codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
         jitter = random.random(rays, dtype=np.float32)
         ends = np.cumsum([len(row[4]) for row in batch])
-        pose_rays = [
-            PoseRays(
-                figure, blended, self.starts[number], parts_of(self.model, figure, self.model.occupancy, self.occupied),
-                row[0], row[1], row[2], row[3], jitter[end - len(row[4]) : end], ray_pair[end - len(row[4]) : end],
-            )
-            for number, figure, blended, row, end in zip(chosen, figures, matrices, batch, ends, strict=True)
-        ]  # fmt: skip
+        pose_rays = []
+        for place, (number, row, end) in enumerate(zip(chosen, batch, ends, strict=True)):
+            own = slice(end - len(row[4]), end)
+            given = GivenRays(row[0], row[1], row[2], row[3], jitter[own], ray_pair[own], place)
+            parts = parts_of(self.model, figures[place], self.model.occupancy, self.occupied)
+            pose_rays.append(PoseRays(figures[place], matrices[place], self.starts[number], parts, given))
         out, _ = trace_rays(
             self.model, pose_rays, pairs, codes, settings.trace if share < settings.fine_from else settings.fine_trace
         )

@@ -12,6 +12,7 @@ from tiny_models import trained
 from chona_model import grid_trace
 from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
 from chona_model.grid_trace import PoseRays, trace_rays
+from chona_model.kernels.cpu.sample import GivenRays
 from chona_model.kernels.threads import in_pieces
 from chona_model.kernels.warp import NewtonLimits
 from chona_model.render.posed import depth_spans
@@ -42,8 +43,11 @@ class Case:
                 PoseRays(
                     self.posed[number], torch.zeros(0), starts_of(self.table.parts[number]),
                     parts_of(self.model, self.posed[number], occupancy, occupied_cells(occupancy)),
-                    origins.astype(np.float32), directions.astype(np.float32), near[rows, columns][pick],
-                    far[rows, columns][pick], random.random(300, dtype=np.float32), random.integers(4, size=(300, 1)),
+                    GivenRays(
+                        origins.astype(np.float32), directions.astype(np.float32), near[rows, columns][pick],
+                        far[rows, columns][pick], random.random(300, dtype=np.float32),
+                        random.integers(4, size=(300, 1)), number,
+                    ),
                 )
             )  # fmt: skip
         self.codes = torch.as_tensor(np.stack([posed.code for posed in self.posed]), dtype=torch.float32)
@@ -59,12 +63,12 @@ class Case:
             out, _ = trace_rays(self.model, rays, self.pairs, self.codes, settings)
         else:
             columns = [
-                np.concatenate([getattr(rays, name) for rays in self.rays])
+                np.concatenate([getattr(rays.given, name) for rays in self.rays])
                 for name in ("origins", "directions", "near", "far")
             ]
             pose = np.repeat(np.arange(2, dtype=np.int32), 300)
-            pair = torch.from_numpy(np.concatenate([rays.pair[:, 0] for rays in self.rays]))
-            jitter = np.concatenate([rays.jitter for rays in self.rays])
+            pair = torch.from_numpy(np.concatenate([rays.given.pair[:, 0] for rays in self.rays]))
+            jitter = np.concatenate([rays.given.jitter for rays in self.rays])
             matrices, index = self.model.matrices(self.posed)
             out = trace(
                 self.model, self.table, matrices, index, np.arange(2, dtype=np.int32), tuple(columns), pose, jitter,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from chona_model.kernels.cpu.jit import inlined, inner
+from chona_model.kernels.cpu.march import cell_at
 from chona_model.kernels.cpu.newton import WORK, find_root, solve_jacobian
 
 RAYS = 128
@@ -217,17 +218,8 @@ def _enter_slot(r, slot, parts, block):
 @inlined
 def _occupied(x, y, z, part, parts):
     """Whether a point in a part's own frame lies in an occupied cell."""
-    zero = np.float32(0.0)
-    px = (x - parts.origins[part, 0]) * parts.inverse_cell
-    py = (y - parts.origins[part, 1]) * parts.inverse_cell
-    pz = (z - parts.origins[part, 2]) * parts.inverse_cell
-    if not (px >= zero and py >= zero and pz >= zero):
-        return False
-    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
-    nx, ny = parts.dims[part, 0], parts.dims[part, 1]
-    if ix >= nx or iy >= ny or iz >= parts.dims[part, 2]:
-        return False
-    return parts.occupied[parts.first[part] + ix + nx * (iy + ny * iz)] != 0
+    cell = cell_at(x, y, z, part, parts.first, parts.dims, parts.origins, parts.inverse_cell)
+    return cell >= 0 and parts.occupied[cell] != 0
 
 
 @inlined

@@ -48,9 +48,12 @@ def corner_weights(fx, fy, fz):
 
 
 @inlined
-def _corners(x, y, z, scale, nx, ny, nz, dense, mask):
-    """Rows and weights of the corners around a point, metres from the part's lower corner."""
-    px, py, pz = x * scale, y * scale, z * scale
+def _corners(points, m, lower, which, scale, nx, ny, nz, dense, mask):
+    """Rows and weights of the corners around point ``m``, which lies in the part ``which``."""
+    zero = np.float32(0.0)
+    px = max(points[m, 0] - lower[which, 0], zero) * scale
+    py = max(points[m, 1] - lower[which, 1], zero) * scale
+    pz = max(points[m, 2] - lower[which, 2], zero) * scale
     ix, iy, iz = np.int32(px), np.int32(py), np.int32(pz)
     if dense:
         ix, iy, iz = min(ix, nx - 2), min(iy, ny - 2), min(iz, nz - 2)
@@ -61,15 +64,12 @@ def _corners(x, y, z, scale, nx, ny, nz, dense, mask):
 @inner
 def encode_level(level, points, identity, begin, end, lower, table, inverse_cells, dims, dense, rows_per_level, out):
     """One level of ``encode`` of the points ``begin`` to ``end``."""
-    zero, mask = np.float32(0.0), np.uint32(rows_per_level - 1)
+    mask = np.uint32(rows_per_level - 1)
     scale, is_dense, levels = inverse_cells[level], dense[level], table.shape[1]
     nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
     for m in range(begin, end):
         which = identity[m]
-        r, w = _corners(
-            max(points[m, 0] - lower[which, 0], zero), max(points[m, 1] - lower[which, 1], zero),
-            max(points[m, 2] - lower[which, 2], zero), scale, nx, ny, nz, is_dense, mask,
-        )  # fmt: skip
+        r, w = _corners(points, m, lower, which, scale, nx, ny, nz, is_dense, mask)
         base = (which * levels + level) * rows_per_level
         one = splat4(w[0]) * load4(table, FEATURES * (base + r[0]))
         two = splat4(w[1]) * load4(table, FEATURES * (base + r[1]))
@@ -108,15 +108,12 @@ def encode_backward_table(
     Args:
         touched: [I · L · T] uint8, set to 1 for every row that was added to.
     """
-    zero, mask = np.float32(0.0), np.uint32(rows_per_level - 1)
+    mask = np.uint32(rows_per_level - 1)
     scale, is_dense, levels = inverse_cells[level], dense[level], grad_table.shape[1]
     nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
     for m in range(len(points)):
         which = identity[m]
-        r, w = _corners(
-            max(points[m, 0] - lower[which, 0], zero), max(points[m, 1] - lower[which, 1], zero),
-            max(points[m, 2] - lower[which, 2], zero), scale, nx, ny, nz, is_dense, mask,
-        )  # fmt: skip
+        r, w = _corners(points, m, lower, which, scale, nx, ny, nz, is_dense, mask)
         base = (which * levels + level) * rows_per_level
         grad = load4(grad_out, FEATURES * (m * levels + level))
         _add_corner(grad_table, touched, base + r[0], w[0], grad)

@@ -23,5 +23,5 @@ Sums may be reordered; infinities and NaNs keep their meaning."""
 inlined = _any_njit(**_INSIDE, fastmath=_RELAXED, forceinline=True)
 """``inner`` for a few lines that are called per point: their results would otherwise go through memory."""
 
-strict = _any_njit(**_INSIDE)
-"""``inner`` where every operation must round as it is written."""
+strict = _any_njit(**_INSIDE, forceinline=True)
+"""``inlined`` where every operation must round as it is written."""

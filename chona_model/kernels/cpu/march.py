@@ -11,24 +11,33 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from chona_model.kernels.cpu.jit import inner
+from chona_model.kernels.cpu.jit import strict
+from chona_model.kernels.cpu.posing import in_camera
 
 BODY = -1
 """Kind of a candidate on the person; objects have their slot's index."""
 
 
-@inner
-def cell_density(x, y, z, part, densities, first, dims, origins, inverse_cell):
-    """Cached density of the occupancy cell at a local point of a part; 0 outside its grid."""
+@strict
+def cell_at(x, y, z, part, first, dims, origins, inverse_cell):
+    """Index among all parts' cells of the one at a local point of a part; −1 outside its grid."""
     px = (x - origins[part, 0]) * inverse_cell
     py = (y - origins[part, 1]) * inverse_cell
     pz = (z - origins[part, 2]) * inverse_cell
-    if px < 0.0 or py < 0.0 or pz < 0.0:
-        return np.float32(0.0)
+    if not (px >= 0.0 and py >= 0.0 and pz >= 0.0):  # nor is a point that is not a number
+        return -1
     ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
-    if ix >= dims[part, 0] or iy >= dims[part, 1] or iz >= dims[part, 2]:
-        return np.float32(0.0)
-    return densities[first[part] + ix + dims[part, 0] * (iy + dims[part, 1] * iz)]
+    nx, ny = dims[part, 0], dims[part, 1]
+    if ix >= nx or iy >= ny or iz >= dims[part, 2]:
+        return -1
+    return first[part] + ix + nx * (iy + ny * iz)
+
+
+@strict
+def cell_density(x, y, z, part, densities, first, dims, origins, inverse_cell):
+    """Cached density of the occupancy cell at a local point of a part; 0 outside its grid."""
+    cell = cell_at(x, y, z, part, first, dims, origins, inverse_cell)
+    return densities[cell] if cell >= 0 else np.float32(0.0)
 
 
 @njit(parallel=True, cache=True)
@@ -153,13 +162,7 @@ def carve(points, camera_from_root, intrinsics, mask, inside, seen):
     """
     height, width = mask.shape
     for m in prange(len(points)):
-        x = camera_from_root[0, 3]
-        y = camera_from_root[1, 3]
-        z = camera_from_root[2, 3]
-        for k in range(3):
-            x += camera_from_root[0, k] * points[m, k]
-            y += camera_from_root[1, k] * points[m, k]
-            z += camera_from_root[2, k] * points[m, k]
+        x, y, z = in_camera(points, m, camera_from_root)
         if z <= 1e-6:
             continue
         u = np.int64(np.floor(intrinsics[0, 0] * x / z + intrinsics[0, 2]))

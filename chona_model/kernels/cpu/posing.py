@@ -95,6 +95,19 @@ def mark_starts(begin, end, posed, centres, origin, inverse_cell, dims, reach, a
               middles, exact, outside)  # fmt: skip
 
 
+@strict
+def in_camera(points, m, camera_from_root):
+    """Point ``m`` of points [M, 3] moved by camera_from_root [3, 4]."""
+    x = camera_from_root[0, 3]
+    y = camera_from_root[1, 3]
+    z = camera_from_root[2, 3]
+    for k in range(3):
+        x += camera_from_root[0, k] * points[m, k]
+        y += camera_from_root[1, k] * points[m, k]
+        z += camera_from_root[2, k] * points[m, k]
+    return x, y, z
+
+
 @entry
 def splat_spans(top, bottom, points, camera_from_root, intrinsics, orthographic, radius, near, far):
     """Depth spans of the pixels of rows ``top`` to ``bottom`` whose ray may come within ``radius`` of a point.
@@ -106,13 +119,7 @@ def splat_spans(top, bottom, points, camera_from_root, intrinsics, orthographic,
     width = near.shape[1]
     fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     for m in range(len(points)):
-        x = camera_from_root[0, 3]
-        y = camera_from_root[1, 3]
-        z = camera_from_root[2, 3]
-        for k in range(3):
-            x += camera_from_root[0, k] * points[m, k]
-            y += camera_from_root[1, k] * points[m, k]
-            z += camera_from_root[2, k] * points[m, k]
+        x, y, z = in_camera(points, m, camera_from_root)
         if z + radius <= 0.0:
             continue
         begin = max(z - radius, 0.0)
