@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,16 @@ from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
-from chona_model.grid_inputs import occupied_cells
+from chona_model.grid_inputs import Surfaces, occupied_cells, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view
 from chona_model.render.occupancy import Occupancy, PartCells, whole_support
+from chona_model.render.posed import window_of
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
+
+TILE = 1 << 19
+"""Pixels looked at together at most: what rays need beyond the picture itself stays under 100 MB."""
 
 KEPT_POSES = 4
 """Poses that stay ready: the cameras and presets of one moment."""
@@ -38,7 +42,7 @@ class GridActor:
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
         self._poses: dict[tuple[Any, ...], ReadyPose] = {}
-        self._cells: dict[bool, tuple[Occupancy, np.ndarray, list[PartCells]]] = {}
+        self._cells: dict[bool, tuple[Occupancy, Surfaces, list[PartCells]]] = {}
 
     def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
         """Renders a view.
@@ -51,8 +55,14 @@ class GridActor:
         return self._render(pose, camera, settings)
 
     def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        view = render_view(self.model, self.ready(pose, settings), camera, settings)
-        return _picture(camera, view) if len(view.rows) else empty_picture(camera)
+        ready, picture, rays = self.ready(pose, settings), empty_picture(camera), 0
+        roots = np.zeros(2)
+        for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
+            view = render_view(self.model, ready, camera, settings, band)
+            _fill(picture, view)
+            rays += len(view.rows)
+            roots += view.values[:, 6:8].sum(axis=0, dtype=np.float64)
+        return replace(picture, rays=rays, failed_share=float(roots[0] / max(roots[1], 1.0)))
 
     def forget_poses(self) -> None:
         """Makes the next pose ready anew."""
@@ -66,17 +76,20 @@ class GridActor:
         if key not in self._poses:
             while len(self._poses) >= KEPT_POSES:
                 self._poses.pop(next(iter(self._poses)))
-            occupancy, occupied, cells = self._occupied(settings.occupancy)
+            occupancy, surfaces, cells = self._occupied(settings.occupancy)
             posed = self.model.posed(pose)
             self._poses[key] = make_ready(
-                self.model, posed, occupancy, occupied, cells, settings.offset, settings.shading
+                self.model, posed, occupancy, surfaces, cells, settings.offset, settings.shading
             )
         return self._poses[key]
 
-    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, np.ndarray, list[PartCells]]:
+    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, Surfaces, list[PartCells]]:
         if skip_empty not in self._cells:
             occupancy = self.model.occupancy if skip_empty else whole_support(self.model.occupancy)
-            self._cells[skip_empty] = occupancy, occupied_cells(occupancy), self.model.cells(occupancy)
+            surfaces = surfaces_of(self.model.occupancy)
+            if not skip_empty:
+                surfaces = replace(surfaces, occupied=occupied_cells(occupancy))
+            self._cells[skip_empty] = occupancy, surfaces, self.model.cells(occupancy)
         return self._cells[skip_empty]
 
     def tensors(self) -> dict[str, Tensor]:
@@ -155,19 +168,17 @@ class GridActor:
         return actor
 
 
-def _picture(camera: Camera, view: View) -> Picture:
-    empty, (rows, columns, values) = empty_picture(camera), (view.rows, view.columns, view.values)
+def _fill(picture: Picture, view: View) -> None:
+    """Writes what rays found to their pixels."""
+    rows, columns, values = view.rows, view.columns, view.values
     alpha = np.clip(values[:, 3], 0.0, 1.0)
     solid = alpha > 0
     depth = np.full(len(rows), EMPTY_DEPTH, dtype=np.float32)
     depth[solid] = values[solid, 4] / values[solid, 3]
     thing = np.clip(values[:, 5], 0.0, alpha)
-    failed, tried = values[:, 6], values[:, 7]
-    empty.rgb[rows, columns] = values[:, :3]
-    empty.alpha[rows, columns] = alpha
-    empty.depth[rows, columns] = depth
-    empty.object[rows, columns] = thing
-    empty.human[rows, columns] = alpha - thing
-    empty.confidence[rows, columns] = 1.0 - failed / np.maximum(tried, 1.0)
-    share = float(failed.sum() / max(tried.sum(), 1.0))
-    return Picture(empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), share)
+    picture.rgb[rows, columns] = values[:, :3]
+    picture.alpha[rows, columns] = alpha
+    picture.depth[rows, columns] = depth
+    picture.object[rows, columns] = thing
+    picture.human[rows, columns] = alpha - thing
+    picture.confidence[rows, columns] = 1.0 - values[:, 6] / np.maximum(values[:, 7], 1.0)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu import advance, newton
 from chona_model.kernels.cpu import render as fused
+from chona_model.render.normals import surface_normals
 from chona_model.render.occupancy import Occupancy
 from chona_model.render.posed import POSED_CELL, PosedPart
 
@@ -24,24 +27,44 @@ def starts_of(part: PosedPart) -> advance.Starts:
     return advance.Starts(row, count, points, part.dims, part.origin, np.float32(1 / POSED_CELL))
 
 
-def parts_of(model: GridModel, posed: PosedFigure, occupancy: Occupancy, occupied: np.ndarray) -> advance.Parts:
-    """The parts that a pose shows, and where they are.
+@dataclass(frozen=True)
+class Surfaces:
+    """What is kept of every part's cells.
+
+    Attributes:
+        occupied: [cells] uint8: a quarter of the memory of densities, which rays would otherwise go through.
+        normals: [cells, 3] float32 (see ``surface_normals``).
+    """
+
+    occupied: np.ndarray
+    normals: np.ndarray
+
+
+def surfaces_of(occupancy: Occupancy) -> Surfaces:
+    """The occupied cells as they are now, and which way their surfaces face."""
+    return Surfaces(occupied_cells(occupancy), surface_normals(occupancy))
+
+
+def occupied_cells(occupancy: Occupancy) -> np.ndarray:
+    """[cells] uint8 of all parts."""
+    return (occupancy.densities > 0).view(np.uint8)
+
+
+def parts_of(
+    model: GridModel, posed: PosedFigure, occupancy: Occupancy, surfaces: Surfaces, light: np.ndarray
+) -> advance.Parts:
+    """The parts that a pose shows, where they are and how they are lit.
 
     Args:
-        occupied: [cells] uint8, from ``occupied_cells``.
+        light: [9, 3] of the pose (see ``GridModel.root_light``).
     """
     slots = model.shape.object_slots
     slot_part = np.full(slots, -1, dtype=np.int32)
     slot_part[: len(posed.objects)] = [len(model.persons) + thing for thing in posed.objects]
     return advance.Parts(
-        occupied, occupancy.first, occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell),
-        posed.person, slot_part, np.ascontiguousarray(posed.slots).reshape(slots, 3, 4),
+        surfaces.occupied, occupancy.first, occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell),
+        surfaces.normals, light, posed.person, slot_part, np.ascontiguousarray(posed.slots).reshape(slots, 3, 4),
     )  # fmt: skip
-
-
-def occupied_cells(occupancy: Occupancy) -> np.ndarray:
-    """[cells] uint8 of all parts: a quarter of the memory that rays would otherwise go through."""
-    return (occupancy.densities > 0).view(np.uint8)
 
 
 def volume_of(model: GridModel, posed: PosedFigure, matrices: np.ndarray) -> newton.Volume:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid, SkinningVolume, initial_weights, make_node_grid
 from chona_model.field.grid import GridField, GridShape
+from chona_model.field.light import root_light
 from chona_model.figure import Figure, Rig, make_figure, pose_code_size, pose_codes
 from chona_model.kernels.cpu import skinning
 from chona_model.kernels.warp import VolumeIndex
@@ -182,6 +183,10 @@ class GridModel(nn.Module):
         codes = torch.as_tensor(pose.code[None], dtype=torch.float32) if offset else None
         transforms = torch.from_numpy(pose.figure.transforms[: len(self.skeleton)].astype(np.float32))
         return self.volume(pose.person).blend_padded(transforms, codes)
+
+    def root_light(self, poses: Sequence[PosedFigure]) -> Tensor:
+        """The light [P, 9, 3] in the root space of each pose; differentiable."""
+        return root_light(self.field.light, np.stack([pose.figure.root_from_world[:3, :3] for pose in poses]))
 
     def _index(self, poses: Sequence[PosedFigure], first_row: np.ndarray) -> VolumeIndex:
         grids = [self.grid(index) for index in range(len(self.persons))]

@@ -16,6 +16,7 @@ from chona_model.kernels import perceptron
 from chona_model.kernels.cpu import advance, encode, skinning
 from chona_model.kernels.cpu import perceptron as network_kernels
 from chona_model.kernels.cpu import sample as kernels
+from chona_model.kernels.cpu.light import TERMS
 from chona_model.kernels.threads import in_pieces
 from chona_model.kernels.warp import MIN_DETERMINANT
 from chona_model.render.tracing import TraceSettings
@@ -55,12 +56,14 @@ class _Piece:
 
 
 def trace_rays(
-    model: GridModel, rays: Sequence[PoseRays], pairs: Tensor, codes: Tensor | None, settings: TraceSettings
-) -> tuple[Tensor, int]:
+    model: GridModel, rays: Sequence[PoseRays], pairs: Tensor, codes: Tensor | None, lights: Tensor,
+    settings: TraceSettings,
+) -> tuple[Tensor, int]:  # fmt: skip
     """Traces rays, differentiable in the field and in the matrices; the tables' gradient goes to the field's buffer.
 
     Args:
         pairs: [Q, 2] identity pairs; codes: [P, C] pose codes, or None for no shading.
+        lights: [P, 9, 3] of the poses, equal to those in their ``parts``; here for its gradient.
 
     Returns:
         [R, 6] as ``kernels.volume.integrate``'s, of all poses' rays one after the other; and how often the field was
@@ -68,7 +71,7 @@ def trace_rays(
     """
     weights = model.field.weights(model.field.codes(pairs), codes)
     work = _Work(model, rays, settings)
-    out = _Trace.apply(work, *(each.matrices for each in rays), *weights.tensors())
+    out = _Trace.apply(work, *(each.matrices for each in rays), lights, *weights.tensors())
     return out, work.evaluated
 
 
@@ -96,7 +99,7 @@ class _Work:
 class _Trace(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, work: _Work, *tensors: Tensor | None) -> Tensor:
-        weights: Any = tensors[len(work.rays) :]
+        weights: Any = tensors[len(work.rays) + 1 :]
         network = perceptron.pack(perceptron.FieldWeights(*weights))
         out = [np.empty((len(each.given.near), advance.COLUMNS), dtype=np.float32) for each in work.rays]
         volumes = [volume_of(work.model, each.posed, each.matrices.detach().numpy()) for each in work.rays]
@@ -124,6 +127,7 @@ class _Trace(torch.autograd.Function):
         skins = [bool(needed) for needed in ctx.needs_input_grad[1 : 1 + len(work.rays)]]
         sums = [network_kernels.Network(*(np.zeros_like(array) for array in network)) for _ in work.pieces]
         encoded: list[Any] = [None] * len(work.pieces)
+        lights: list[Any] = [None] * len(work.pieces)
 
         def run(number: int) -> None:
             piece = work.pieces[number]
@@ -133,6 +137,8 @@ class _Trace(torch.autograd.Function):
                 piece.first, piece.order, found, work.limits.step, work.limits.stop,
                 grads[piece.pose][piece.begin : piece.end], grad_density, grad_rgb,
             )  # fmt: skip
+            lights[number] = gain_terms(found.normal).T @ (grad_rgb * found.rgb)
+            grad_rgb *= found.gain
             grad_x = np.empty((count, network.both.shape[0]), np.float32)
             perceptron.cpu.backward(
                 network, transposed, found.x, 0, count, found.pair, found.pose, work.tables.scale, grad_density,
@@ -166,7 +172,15 @@ class _Trace(torch.autograd.Function):
 
         work.in_threads(through_roots, len(work.rays))
         total = network_kernels.Network(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
-        return None, *grad_matrices, *perceptron.unpack(total, perceptron.FieldWeights(*weights))
+        grad_lights = torch.zeros(len(work.rays), TERMS, 3)
+        for piece, light in zip(work.pieces, lights, strict=True):
+            grad_lights[piece.pose] += torch.from_numpy(light)
+        return None, *grad_matrices, grad_lights, *perceptron.unpack(total, perceptron.FieldWeights(*weights))
+
+
+def gain_terms(normals: np.ndarray) -> np.ndarray:
+    """[M, TERMS] derivatives of a gain's logarithm by its light, from normals [M, 3]."""
+    return np.concatenate([normals, normals**2, normals * np.roll(normals, -1, axis=1)], axis=1)
 
 
 def _grad_matrices(work: _Work, pose: int) -> Tensor:

@@ -8,8 +8,9 @@
                                               /t0003.000/k<k>.color.jpg, k<k>.person_mask.jpg, k<k>.obj_rend_mask.jpg
                                                         /person/fit02/person_fit.pkl   <object>/fit01/<object>_fit.pkl
 
-What BEHAVE means, and what is done here: the world is the colour camera of Kinect 1 (OpenCV axes) and stays so; pixel
-centres lie at integers, so half a pixel is added to the principal point; an object is ``R (v0 - c) + trans`` with c the
+What BEHAVE means, and what is done here: the world is the colour camera of Kinect 1 (OpenCV axes), turned here until z
+points up as everywhere else, since a learned light stays where it was in the world; pixel centres lie at integers, so
+half a pixel is added to the principal point; an object is ``R (v0 - c) + trans`` with c the
 mean vertex of its *simplified* template, so its frame is ``[R | trans]`` and its extent that of ``v0 - c``.  Frames and
 views with parts missing are skipped and counted in ``Dataset.gaps``: a person without a mask would be taught as empty.
 """
@@ -34,6 +35,9 @@ from chona_model.data.body_model import BodyModel, find_body_model, read_body_mo
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
 from chona_model.data.restricted_pickle import read_pickle
 from chona_model.skeleton import SMPL
+
+UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Our world from BEHAVE's: x stays, down becomes −z, forward becomes y."""
 
 OBJECT_MASKS = ("obj_rend_mask.jpg", "obj_rend_mask.png", "obj_mask.jpg", "obj_mask.png")
 PERSON_MASKS = ("person_mask.jpg", "person_mask.png")
@@ -116,7 +120,7 @@ def read_behave(root: Path, sequences: Sequence[str] | None = None, body_model_d
         if sequence.name not in cameras:
             cameras[sequence.name] = {kinect: _read_camera(root, sequence, kinect, gaps) for kinect in sequence.kinects}
         bones = models[sequence.gender].world_from_bone(reduced_pose(frame.pose), frame.betas, frame.trans)
-        pose = Pose(sequence.person, (sequence.object,), bones, frame.world_from_object[None])
+        pose = Pose(sequence.person, (sequence.object,), UPRIGHT @ bones, UPRIGHT @ frame.world_from_object[None])
         views.extend(_views(frame, pose, cameras[sequence.name], gaps))
     if not views:
         raise DatasetError(f"no view in {root / 'sequences'} has an image and both masks; expected k0.color.jpg, ...")
@@ -256,7 +260,7 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int, gaps: Counter[str
         if np.abs(color.get("opencv", [0.0])[4:]).max(initial=0.0) > 1e-9:
             gaps["lens distortion (ignored)"] += 1
         width, height = int(color["width"]), int(color["height"])
-        camera = Camera(matrix, world_from_camera, width, height)
+        camera = Camera(matrix, UPRIGHT @ world_from_camera, width, height)
     except (KeyError, TypeError, ValueError, CameraError) as error:
         raise DatasetError(
             f"the calibration in {intrinsics} and {pose} is not BEHAVE's: {type(error).__name__} {error}; expected "

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
+from chona_model.field.light import COEFFICIENTS
 from chona_model.kernels.cpu.simd import LANES
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
 from chona_model.kernels.perceptron import FieldWeights, evaluate
@@ -85,6 +86,7 @@ class GridField(nn.Module):
         self.pose_in = nn.Linear(pose_code, shape.pose)
         self.shade_in = nn.Linear(shape.features + shape.pose, 32)
         self.shade_out = nn.Linear(32, 1)
+        self.light = nn.Parameter(torch.zeros(COEFFICIENTS, 3))
         with torch.no_grad():
             # Nearly transparent at first: an opaque hull would only ever be carved from outside.
             self.density_out.bias[0] = EMPTY_BIAS

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -84,13 +84,74 @@ def pose_cells(
     return PosedPart(points.astype(np.float32), centres, starts, dims, origin, reach)
 
 
-def depth_spans(posed: PosedPart, figure: Figure, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Near and far depth of every pixel, [H, W] float32 each; far ≤ near where the figure cannot be."""
-    near = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
-    far = np.zeros((camera.height, camera.width), dtype=np.float32)
-    camera_from_root = camera_matrix(figure, camera)
+SPREAD = 1.2
+"""An outline's cell may be stretched by the pose: its reach is taken this much larger."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows ``top`` ≤ row < ``bottom`` and columns ``left`` ≤ column < ``right`` of an image."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    @property
+    def pixels(self) -> int:
+        """Its area; 0 for an empty one."""
+        return max(self.bottom - self.top, 0) * max(self.right - self.left, 0)
+
+    def bands(self, pixels: int) -> Iterator[Window]:
+        """The window cut into bands of whole rows, each of about ``pixels`` at most."""
+        if self.pixels == 0:
+            return
+        rows = max(pixels // (self.right - self.left), 1)
+        for top in range(self.top, self.bottom, rows):
+            yield replace(self, top=top, bottom=min(top + rows, self.bottom))
+
+
+def window_of(posed: PosedPart, figure: Figure, camera: Camera) -> Window:
+    """A window outside which no pixel sees the figure: what is empty around it costs nothing."""
+    whole, radius = Window(0, camera.height, 0, camera.width), posed.reach * SPREAD
+    if len(posed.outline) == 0:
+        return Window(0, 0, 0, 0)
+    matrix = camera_matrix(figure, camera)
+    points = posed.outline.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
+    ahead = points[points[:, 2] + radius > 0.0]
+    if len(ahead) == 0:
+        return Window(0, 0, 0, 0)
+    flat, depth = camera.kind == ORTHOGRAPHIC, ahead[:, 2]
+    if not flat and depth.min() < 2.0 * radius:
+        return whole  # the camera stands in the figure, or almost
+    sides = []
+    for axis, size in ((1, camera.height), (0, camera.width)):
+        focal, centre = camera.intrinsics[axis, axis], camera.intrinsics[axis, 2]
+        low, high = ahead[:, axis] - radius, ahead[:, axis] + radius
+        if not flat:  # the sphere lies in the cone of its box's nearest and farthest faces
+            low = np.minimum(low / (depth - radius), low / (depth + radius))
+            high = np.maximum(high / (depth - radius), high / (depth + radius))
+        sides += [
+            max(int(np.floor(focal * low.min() + centre)), 0),
+            min(int(np.ceil(focal * high.max() + centre)), size),
+        ]
+    return Window(*sides)
+
+
+def depth_spans(
+    posed: PosedPart, figure: Figure, camera: Camera, window: Window | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Near and far depth of every pixel of a window (by default the image), [H, W] float32 each.
+
+    far ≤ near where the figure cannot be.
+    """
+    window = window or Window(0, camera.height, 0, camera.width)
+    size = (max(window.bottom - window.top, 0), max(window.right - window.left, 0))
+    near, far = np.full(size, np.inf, dtype=np.float32), np.zeros(size, dtype=np.float32)
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:2, 2] -= window.left, window.top
     flat = camera.kind == ORTHOGRAPHIC
-    splat_spans(posed.outline, camera_from_root, camera.intrinsics, flat, posed.reach * 1.2, near, far)
+    splat_spans(posed.outline, camera_matrix(figure, camera), intrinsics, flat, posed.reach * SPREAD, near, far)
     return near, far
 
 

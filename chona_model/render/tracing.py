@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 
 from chona_model.grid_model import GridModel, PosedFigure
+from chona_model.kernels import reference
 from chona_model.kernels.cpu import march as kernel
 from chona_model.kernels.volume import integrate
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex, invert
+from chona_model.render.normals import surface_normals
 from chona_model.render.occupancy import Occupancy
 from chona_model.render.posed import POSED_CELL, PosedPart
 
@@ -41,6 +43,7 @@ class PoseTable:
     """Poses concatenated for the marching kernel; rays name them by index."""
 
     occupancy: Occupancy
+    normals: np.ndarray
     poses: tuple[PosedFigure, ...]
     parts: tuple[PosedPart, ...]
     starts: np.ndarray
@@ -66,7 +69,7 @@ def make_pose_table(model: GridModel, poses: Sequence[PosedFigure], occupancy: O
         for slot, thing in enumerate(pose.objects):
             slot_part[index, slot] = len(model.persons) + thing
     return PoseTable(
-        occupancy, tuple(poses), tuple(parts), starts.astype(np.int32),
+        occupancy, surface_normals(model.occupancy), tuple(poses), tuple(parts), starts.astype(np.int32),
         np.concatenate([[0], np.cumsum([len(part.starts) for part in parts])]),
         np.stack([part.dims for part in parts]),
         np.stack([part.origin for part in parts]).astype(np.float32),
@@ -98,7 +101,7 @@ class Traced:
 def trace(
     model: GridModel, table: PoseTable, matrices: Tensor, index: VolumeIndex, local_pose: np.ndarray,
     rays: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], pose: np.ndarray, jitter: np.ndarray,
-    pairs: Tensor, ray_pair: Tensor, codes: Tensor | None, settings: TraceSettings,
+    pairs: Tensor, ray_pair: Tensor, codes: Tensor | None, lights: Tensor, settings: TraceSettings,
 ) -> Traced:  # fmt: skip
     """Traces rays; differentiable in the field and in the matrices.
 
@@ -108,7 +111,7 @@ def trace(
         rays: origins [R, 3], directions [R, 3], near [R], far [R], float32, root space.
         jitter: [R] float32 in 0…1.
         pairs: [Q, 2] identity pairs; ray_pair: [R] int64.
-        codes: [P, C] pose codes by local pose, or None.
+        codes: [P, C] pose codes by local pose, or None; lights: [P, 9, 3] (see ``GridModel.root_light``).
     """
     origins, directions, near, far = rays
     occupancy = table.occupancy
@@ -168,6 +171,8 @@ def trace(
         local, torch.from_numpy(part[chosen]), pairs, ray_pair[ray_index], codes,
         torch.from_numpy(local_pose[pose[ray_kept]]).long(),
     )  # fmt: skip
+    normals = _root_normals(table, matrices.detach(), index, local_pose, part, kind, pose[ray], points, chosen)
+    rgb = rgb * reference.gains(normals, lights[torch.from_numpy(local_pose[pose[ray_kept]]).long()])
     out, weights = integrate(
         density, rgb, torch.from_numpy(kept_first), torch.from_numpy(depth[chosen]),
         torch.full((len(chosen),), settings.step), torch.from_numpy(kind[chosen] >= 0), settings.stop * 0.1,
@@ -175,3 +180,21 @@ def trace(
     tried = np.bincount(ray[body], minlength=len(origins))
     missed = np.bincount(ray[body], weights=failed[body], minlength=len(origins))
     return Traced(out, weights, ray_index, missed, tried, len(chosen))
+
+
+def _root_normals(
+    table: PoseTable, matrices: Tensor, index: VolumeIndex, local_pose: np.ndarray, part: np.ndarray, kind: np.ndarray,
+    pose: np.ndarray, points: np.ndarray, chosen: np.ndarray,
+) -> Tensor:  # fmt: skip
+    """Root-space normals [M, 3] of the chosen candidates: turned with the blended matrix, or with their object."""
+    occupancy = table.occupancy
+    local, parts, kinds, poses = (torch.from_numpy(array[chosen]) for array in (points, part, kind, pose))
+    first, dims, origins = (torch.from_numpy(array) for array in (occupancy.first, occupancy.dims, occupancy.origins))
+    normals = reference.normals_at(
+        local, parts, torch.from_numpy(table.normals), first, dims, origins, 1.0 / occupancy.cell
+    )
+    turned = torch.from_numpy(table.slot_matrix)[poses.long(), kinds.long().clamp(min=0), :, :3].transpose(-1, -2)
+    body = kinds < 0
+    own = torch.from_numpy(local_pose)[poses[body].long()]
+    turned[body] = reference.blended_rotations(matrices, local[body], own, index)
+    return (turned @ normals[..., None])[..., 0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
-from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
+from chona_model.grid_inputs import occupied_cells, parts_of, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.adam import adam_rows
@@ -34,7 +34,8 @@ class FastSettings:
 
     Attributes:
         rays, poses: rays a step, spread over this many poses.
-        grid_rate, mlp_rate, skin_rate, offset_rate: Adam's initial rates; all fall to ``last_rate`` times that.
+        grid_rate, mlp_rate, light_rate, skin_rate, offset_rate: Adam's initial rates; all fall to ``last_rate`` times
+            that.
         weight_loss, offset_loss: the paper's λ and β.
         skin_from: share of the schedule before which skinning keeps its initial weights; skin_every: steps between
             gradients through the root finder.
@@ -54,6 +55,7 @@ class FastSettings:
     poses: int = 4
     grid_rate: float = 3e-2
     mlp_rate: float = 3e-3
+    light_rate: float = 1e-2
     skin_rate: float = 2e-4
     offset_rate: float = 1e-5
     last_rate: float = 0.03
@@ -139,11 +141,12 @@ class GridTrainer:
 
     def _make_optimisers(self) -> None:
         field, volumes, settings = self.model.field, self.model.volumes, self.settings
-        perceptrons = [value for name, value in field.named_parameters() if name != "table"]
+        perceptrons = [value for name, value in field.named_parameters() if name not in {"table", "light"}]
         logits = [value for name, value in volumes.named_parameters() if name.endswith("logits")]
         offsets = [value for name, value in volumes.named_parameters() if "offset" in name]
         groups = [
             {"params": perceptrons, "lr": settings.mlp_rate},
+            {"params": [field.light], "lr": settings.light_rate},
             {"params": logits, "lr": settings.skin_rate},
             {"params": offsets, "lr": settings.offset_rate},
         ]
@@ -159,7 +162,7 @@ class GridTrainer:
         self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
         cells = self.model.cells(self.model.occupancy)
         parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
-        self.occupied, self.starts = occupied_cells(self.model.occupancy), [starts_of(part) for part in parts]
+        self.surfaces, self.starts = surfaces_of(self.model.occupancy), [starts_of(part) for part in parts]
         self.pools = make_pools(parts, self.posed, self.groups)
         self._forget_matrices()
         self.usable = np.array([index for index, row in enumerate(self.pools) if row])
@@ -190,15 +193,15 @@ class GridTrainer:
         codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
         jitter = random.random(rays, dtype=np.float32)
         ends = np.cumsum([len(row[4]) for row in batch])
-        pose_rays = []
+        lights, pose_rays = self.model.root_light(figures), []
         for place, (number, row, end) in enumerate(zip(chosen, batch, ends, strict=True)):
             own = slice(end - len(row[4]), end)
             given = GivenRays(row[0], row[1], row[2], row[3], jitter[own], ray_pair[own], place)
-            parts = parts_of(self.model, figures[place], self.model.occupancy, self.occupied)
+            light = lights[place].detach().numpy()
+            parts = parts_of(self.model, figures[place], self.model.occupancy, self.surfaces, light)
             pose_rays.append(PoseRays(figures[place], matrices[place], self.starts[number], parts, given))
-        out, _ = trace_rays(
-            self.model, pose_rays, pairs, codes, settings.trace if share < settings.fine_from else settings.fine_trace
-        )
+        tracing = settings.trace if share < settings.fine_from else settings.fine_trace
+        out, _ = trace_rays(self.model, pose_rays, pairs, codes, lights, tracing)
         background = (
             np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
         )
@@ -303,7 +306,7 @@ class GridTrainer:
             random = np.random.default_rng([self.seed, done, 1])
             for part in range(len(self.model.occupancy.dims)):
                 self._refresh(part, random)
-            self.occupied = occupied_cells(self.model.occupancy)
+            self.surfaces = replace(self.surfaces, occupied=occupied_cells(self.model.occupancy))
         if done in self.settings.rebuild:
             self._rebuild()
 
@@ -362,5 +365,5 @@ class GridTrainer:
         content = self.optimiser.state_dict()
         self.optimiser.load_state_dict({"state": adam, "param_groups": content["param_groups"]})
         self.model.occupancy.densities[:] = state["occupancy"].numpy()
-        self.occupied = occupied_cells(self.model.occupancy)
+        self.surfaces = replace(self.surfaces, occupied=occupied_cells(self.model.occupancy))
         self._forget_matrices()

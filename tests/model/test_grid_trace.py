@@ -10,7 +10,7 @@ import torch
 from tiny_models import trained
 
 from chona_model import grid_trace
-from chona_model.grid_inputs import occupied_cells, parts_of, starts_of
+from chona_model.grid_inputs import parts_of, starts_of, surfaces_of
 from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.sample import GivenRays
 from chona_model.kernels.threads import in_pieces
@@ -30,6 +30,7 @@ class Case:
         views = [dataset.views[0], dataset.views[-1]]
         self.posed = [self.model.posed(view.pose) for view in views]
         self.table = make_pose_table(self.model, self.posed)
+        lights = self.model.root_light(self.posed).detach().numpy()
         self.pairs = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, -1]])
         self.rays = []
         for number, view in enumerate(views):
@@ -42,7 +43,7 @@ class Case:
             self.rays.append(
                 PoseRays(
                     self.posed[number], torch.zeros(0), starts_of(self.table.parts[number]),
-                    parts_of(self.model, self.posed[number], occupancy, occupied_cells(occupancy)),
+                    parts_of(self.model, self.posed[number], occupancy, surfaces_of(occupancy), lights[number]),
                     GivenRays(
                         origins.astype(np.float32), directions.astype(np.float32), near[rows, columns][pick],
                         far[rows, columns][pick], random.random(300, dtype=np.float32),
@@ -60,7 +61,8 @@ class Case:
         if fused:
             blended = [self.model.matrices([posed])[0] for posed in self.posed]
             rays = [replace(rays, matrices=matrices) for rays, matrices in zip(self.rays, blended, strict=True)]
-            out, _ = trace_rays(self.model, rays, self.pairs, self.codes, settings)
+            lights = self.model.root_light(self.posed)
+            out, _ = trace_rays(self.model, rays, self.pairs, self.codes, lights, settings)
         else:
             columns = [
                 np.concatenate([getattr(rays.given, name) for rays in self.rays])
@@ -72,7 +74,7 @@ class Case:
             matrices, index = self.model.matrices(self.posed)
             out = trace(
                 self.model, self.table, matrices, index, np.arange(2, dtype=np.int32), tuple(columns), pose, jitter,
-                self.pairs, pair, self.codes, settings,
+                self.pairs, pair, self.codes, self.model.root_light(self.posed), settings,
             ).out  # fmt: skip
         (out * self.factors).sum().backward()
         grads = {n: p.grad.clone() for n, p in self.model.named_parameters() if p.grad is not None}
@@ -85,6 +87,7 @@ def test_one_pass_equals_the_stages(objects: int) -> None:
     out, grads = case.outcome(True)
     expected, twins = case.outcome(False)
     assert expected[:, 3].max() > 0.9
+    assert case.model.field.light.abs().max() > 0.05
     difference = (out - expected).abs()
     # A ray may gain or lose a sample that falls within rounding of an occupancy cell's border.
     assert difference.amax(dim=1).kthvalue(int(0.98 * len(out))).values < 1e-3
@@ -99,7 +102,8 @@ def test_gradients_are_those_of_finite_differences() -> None:
     """The loss along the gradient, where no sample appears or vanishes: parameters of the perceptrons."""
     case = Case(1)
     _, grads = case.outcome(True)
-    for name in ("field.colour_out.weight", "field.density_out.bias", "field.person_codes", "field.pose_in.weight"):
+    for short in ("colour_out.weight", "density_out.bias", "person_codes", "pose_in.weight", "light"):
+        name = f"field.{short}"
         parameter = dict(case.model.named_parameters())[name]
         direction = grads[name] / grads[name].norm()
         values = []

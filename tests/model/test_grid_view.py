@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tiny_models import trained
+from scipy.spatial.transform import Rotation
+from tiny_models import lit, trained
 
 from chona_model import grid_view
+from chona_model.camera import ORTHOGRAPHIC
+from chona_model.grid_actor import GridActor
 from chona_model.kernels.cpu import newton
 from chona_model.kernels.cpu.jit import entry
 from chona_model.kernels.warp import NewtonLimits, invert
+from chona_model.render.posed import Window, window_of
 from chona_model.render.tracing import TraceSettings, make_pose_table, trace
 from chona_model.settings import RENDER_PRESETS
 
@@ -22,11 +26,16 @@ find_root = newton.find_root
 @pytest.fixture(scope="module", params=[1, 2])
 def scene(request: pytest.FixtureRequest):
     dataset, trainer = trained(objects=request.param)
-    return trainer.actor(), dataset.views[1]
+    return GridActor(lit(trainer.model)), dataset.views[1]
 
 
 def ready(actor, view, settings):
     return actor.ready(view.pose, settings)
+
+
+def look(actor, view, settings, window: Window | None = None):
+    window = window or Window(0, view.camera.height, 0, view.camera.width)
+    return grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings, window)
 
 
 @pytest.mark.parametrize("changes", [{}, {"offset": False}, {"shading": False}])
@@ -35,7 +44,7 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: 
     actor, view = scene
     monkeypatch.setattr(grid_view, "TOLERANCE", 1e-6)
     settings = replace(RENDER_PRESETS["final"], supersampling=1, newton_steps=12, stop=0.0, **changes)
-    seen = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    seen = look(actor, view, settings)
     model, posed = actor.model, actor.model.posed(view.pose)
     table = make_pose_table(model, [posed])
     near, far = grid_view.depth_spans(table.parts[0], posed.figure, view.camera)
@@ -51,6 +60,7 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: 
             np.full(count, 0.5, np.float32), torch.tensor([[posed.person, posed.objects[0]]]),
             torch.zeros(count, dtype=torch.int64),
             torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None,
+            model.root_light([posed]),
             TraceSettings(step=settings.step, newton=NewtonLimits(12, tolerance=1e-6), trust=0.0, stop=0.0),
         )  # fmt: skip
     np.testing.assert_array_equal(seen.rows, rows)
@@ -65,7 +75,7 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: 
 def test_the_early_stop_saves_evaluations_and_little_else(scene) -> None:
     actor, view = scene
     whole, stopped = (
-        grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+        look(actor, view, settings)
         for settings in (replace(RENDER_PRESETS["final"], stop=stop) for stop in (0.0, 0.01))
     )
     assert stopped.evaluated < whole.evaluated
@@ -75,10 +85,54 @@ def test_the_early_stop_saves_evaluations_and_little_else(scene) -> None:
 def test_threads_change_nothing(scene, monkeypatch: pytest.MonkeyPatch) -> None:
     actor, view = scene
     settings = RENDER_PRESETS["final"]
-    first = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    first = look(actor, view, settings)
     monkeypatch.setattr(grid_view, "PIECE", 10**9)
-    second = grid_view.render_view(actor.model, ready(actor, view, settings), view.camera, settings)
+    second = look(actor, view, settings)
     np.testing.assert_array_equal(first.values, second.values)
+
+
+def test_a_window_of_the_view_is_that_part_of_it(scene) -> None:
+    """Bit for bit: what tiles are joined from shows no seams."""
+    actor, view = scene
+    whole, window = look(actor, view, RENDER_PRESETS["final"]), Window(10, 31, 20, 50)
+    part = look(actor, view, RENDER_PRESETS["final"], window)
+    inside = (whole.rows >= 10) & (whole.rows < 31) & (whole.columns >= 20) & (whole.columns < 50)
+    np.testing.assert_array_equal(part.rows, whole.rows[inside])
+    np.testing.assert_array_equal(part.columns, whole.columns[inside])
+    np.testing.assert_array_equal(part.values, whole.values[inside])
+    assert len(part.rows) > 100
+
+
+def test_nothing_is_seen_outside_the_figures_window(scene) -> None:
+    actor, view = scene
+    part, figure = ready(actor, view, RENDER_PRESETS["final"]).part, actor.model.posed(view.pose).figure
+    for turn in np.linspace(-0.6, 0.6, 7):
+        moved = view.camera.world_from_camera @ rotation_about_y(turn)
+        for camera in (
+            replace(view.camera, world_from_camera=moved),
+            replace(view.camera, world_from_camera=moved, kind=ORTHOGRAPHIC),
+        ):
+            near, far = grid_view.depth_spans(part, figure, camera)
+            rows, columns = np.nonzero(far > near)
+            window = window_of(part, figure, camera)
+            assert window.pixels or len(rows) == 0
+            if len(rows):
+                assert window.top <= rows.min() and rows.max() < window.bottom
+                assert window.left <= columns.min() and columns.max() < window.right
+
+
+def rotation_about_y(angle: float) -> np.ndarray:
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
+    return turn
+
+
+def test_bands_cover_a_window_once() -> None:
+    window = Window(3, 40, 5, 25)
+    bands = list(window.bands(20 * 8))
+    assert [(band.top, band.bottom) for band in bands] == [(3, 11), (11, 19), (19, 27), (27, 35), (35, 40)]
+    assert all((band.left, band.right) == (5, 25) for band in bands)
+    assert list(Window(0, 0, 0, 0).bands(10)) == []
 
 
 @entry

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import torch
 from tiny_capture import tiny_capture
 
 from chona_model.data.dataset import Dataset
 from chona_model.field.grid import GridShape
-from chona_model.grid_model import GridModelShape
+from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.render.tracing import TraceSettings
 from chona_model.train.grid_trainer import FastSettings, GridTrainer
 
@@ -37,3 +39,11 @@ def trained(steps: int = 500, persons: int = 1, objects: int = 1) -> tuple[Datas
     for index in range(steps):
         trainer.step(index, index / steps)
     return dataset, trainer
+
+
+def lit(model: GridModel) -> GridModel:
+    """A copy of a model under a strong light; the tiny capture has none."""
+    copy = deepcopy(model)
+    with torch.no_grad():
+        copy.field.light.copy_(0.3 * torch.randn(copy.field.light.shape, generator=torch.manual_seed(3)))
+    return copy

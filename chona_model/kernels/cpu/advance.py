@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from chona_model.kernels.cpu.jit import inlined, inner
+from chona_model.kernels.cpu.light import normal_at, unit
 from chona_model.kernels.cpu.march import cell_at
 from chona_model.kernels.cpu.newton import WORK, find_root, solve_jacobian
 
@@ -68,6 +69,8 @@ class Parts(NamedTuple):
     Attributes:
         occupied: [cells] uint8 of all parts, concatenated; first, dims, origins, inverse_cell: their grids (see
             ``render.occupancy.Occupancy``).
+        normals: [cells, 3] float32 which way surfaces face, in the parts' frames.
+        light: [light.TERMS, 3] float32 of the pose, root space.
         person: part of the person or −1; slot_part: [N] int32 part or −1; slot_matrix: [N, 3, 4] root space to part.
     """
 
@@ -76,6 +79,8 @@ class Parts(NamedTuple):
     dims: np.ndarray
     origins: np.ndarray
     inverse_cell: np.float32
+    normals: np.ndarray
+    light: np.ndarray
     person: int
     slot_part: np.ndarray
     slot_matrix: np.ndarray
@@ -119,7 +124,8 @@ class Candidates(NamedTuple):
     Attributes:
         ray: [C] int64; part: [C] int32; pair, pose: [C] int64 rows of conditioned biases.
         thing: [C] bool, on an object; depth: [C]; point: [C, 3] in the part's frame, metres.
-        x: [C, E] encoded points; density: [C] 1/m; rgb: [C, 3].
+        normal: [C, 3] root space, of length one or zero; gain: [C, 3] what the pose's light makes of colours.
+        x: [C, E] encoded points; density: [C] 1/m; rgb: [C, 3] in that light.
     """
 
     ray: np.ndarray
@@ -129,6 +135,8 @@ class Candidates(NamedTuple):
     thing: np.ndarray
     depth: np.ndarray
     point: np.ndarray
+    normal: np.ndarray
+    gain: np.ndarray
     x: np.ndarray
     density: np.ndarray
     rgb: np.ndarray
@@ -154,8 +162,8 @@ def make_candidates(room, inputs, pose):
     real = np.float32
     return Candidates(
         np.zeros(room, np.int64), np.zeros(room, np.int32), np.zeros(room, np.int64), np.full(room, pose, np.int64),
-        np.zeros(room, np.bool_), np.zeros(room, real), np.zeros((room, 3), real), np.zeros((room, inputs), real),
-        np.zeros(room, real), np.zeros((room, 3), real),
+        np.zeros(room, np.bool_), np.zeros(room, real), np.zeros((room, 3), real), np.zeros((room, 3), real),
+        np.zeros((room, 3), real), np.zeros((room, inputs), real), np.zeros(room, real), np.zeros((room, 3), real),
     )  # fmt: skip
 
 
@@ -251,6 +259,11 @@ def _push(found, n, ray, depth, part, pair, thing, x, y, z):
     found.point[n, 0], found.point[n, 1], found.point[n, 2] = x, y, z
 
 
+@inlined
+def _face(found, n, x, y, z):
+    found.normal[n, 0], found.normal[n, 1], found.normal[n, 2] = unit(x, y, z)
+
+
 @inner
 def _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block, found):
     """Candidates of a sample on the person; returns the new number of candidates."""
@@ -267,6 +280,10 @@ def _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block,
                 continue
         if _occupied(cx, cy, cz, parts.person, parts):
             _push(found, n, r, t, parts.person, block.pair[r, 0], False, cx, cy, cz)
+            a, b, c = normal_at(cx, cy, cz, parts.person, parts)
+            work = block.work  # blended where the root is
+            _face(found, n, work[0] * a + work[1] * b + work[2] * c, work[4] * a + work[5] * b + work[6] * c,
+                  work[8] * a + work[9] * b + work[10] * c)  # fmt: skip
             n += 1
     return n
 
@@ -309,6 +326,11 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
             lz = block.slot_origin[r, slot, 2] + t * block.slot_direction[r, slot, 2]
             if _occupied(lx, ly, lz, part, parts):
                 _push(found, n, r, t, part, block.pair[r, slot], True, lx, ly, lz)
+                a, b, c = normal_at(lx, ly, lz, part, parts)
+                m = parts.slot_matrix
+                _face(found, n, m[slot, 0, 0] * a + m[slot, 1, 0] * b + m[slot, 2, 0] * c,
+                      m[slot, 0, 1] * a + m[slot, 1, 1] * b + m[slot, 2, 1] * c,
+                      m[slot, 0, 2] * a + m[slot, 1, 2] * b + m[slot, 2, 2] * c)  # fmt: skip
                 n += 1
         if n > before:
             samples += 1

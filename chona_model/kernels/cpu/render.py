@@ -23,6 +23,7 @@ from chona_model.kernels.cpu.advance import (
 )  # fmt: skip
 from chona_model.kernels.cpu.encode import encode_level
 from chona_model.kernels.cpu.jit import entry, inner
+from chona_model.kernels.cpu.light import log_gain
 from chona_model.kernels.cpu.newton import RootLimits
 from chona_model.kernels.cpu.perceptron import BLOCK, forward_block, make_activations
 
@@ -56,7 +57,7 @@ class Limits(NamedTuple):
 
 
 @inner
-def _evaluate(begin, end, tables, net, found, act):
+def _evaluate(begin, end, light, tables, net, found, act):
     """Encodes candidates, and their density and colour."""
     for level in range(tables.table.shape[1]):
         encode_level(
@@ -68,8 +69,10 @@ def _evaluate(begin, end, tables, net, found, act):
         forward_block(net, found.x, first * found.x.shape[1], rows, found.pair, found.pose, first, act)
         for m in range(rows):
             found.density[first + m] = tables.scale * act.final[0, m]
+            x, y, z = found.normal[first + m, 0], found.normal[first + m, 1], found.normal[first + m, 2]
             for k in range(3):
-                found.rgb[first + m, k] = act.final[1 + k, m] * act.final[4, m]
+                found.gain[first + m, k] = np.exp(log_gain(x, y, z, light, k))
+                found.rgb[first + m, k] = act.final[1 + k, m] * act.final[4, m] * found.gain[first + m, k]
 
 
 @inner
@@ -121,7 +124,7 @@ def trace_block(count, keep, n, volume, starts, parts, tables, net, limits, bloc
                 block.alive[index], wanted, n, begin + ROOM, volume, starts, parts, limits.root, limits.apart, block,
                 found,
             )  # fmt: skip
-        _evaluate(begin, n, tables, net, found, act)
+        _evaluate(begin, n, parts.light, tables, net, found, act)
         _integrate(begin, n, limits, found, block)
         evaluated += n - begin
         left = 0

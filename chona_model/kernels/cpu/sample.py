@@ -78,7 +78,7 @@ def sample(begin, end, rays, volume, starts, parts, tables, net, limits, out):
         place[r] += 1
     kept = Candidates(
         found.ray[:n], found.part[:n], found.pair[:n], found.pose[:n], found.thing[:n], found.depth[:n],
-        found.point[:n], found.x[:n], found.density[:n], found.rgb[:n],
+        found.point[:n], found.normal[:n], found.gain[:n], found.x[:n], found.density[:n], found.rgb[:n],
     )  # fmt: skip
     return kept, first, order
 
@@ -92,6 +92,7 @@ def _with_more_room(found, used):
         larger.thing[m], larger.depth[m], larger.density[m] = found.thing[m], found.depth[m], found.density[m]
         for k in range(3):
             larger.point[m, k], larger.rgb[m, k] = found.point[m, k], found.rgb[m, k]
+            larger.normal[m, k], larger.gain[m, k] = found.normal[m, k], found.gain[m, k]
         for k in range(found.x.shape[1]):
             larger.x[m, k] = found.x[m, k]
     return larger

@@ -82,6 +82,11 @@ def _newton(
     return roots, best
 
 
+def blended_rotations(matrices: Tensor, points: Tensor, pose: Tensor, index: VolumeIndex) -> Tensor:
+    """Linear parts [M, 3, 3] of the matrices blended at canonical points [M, 3] of poses [M]."""
+    return _Volume(index, pose, points.dtype).blend(points, matrices)[0]
+
+
 class _Volume:
     """What every one of M points needs to interpolate in its pose's volume."""
 
@@ -96,8 +101,9 @@ class _Volume:
         self.inverse_cell = float(np.float32(index.inverse_cell))
         self.offsets = corner_offsets(pose.device)
 
-    def warp(self, points: Tensor, matrices: Tensor) -> tuple[Tensor, Tensor]:
-        """f(x) [M, 3] and its Jacobian [M, 3, 3] at ``points`` [M, 3], which get no gradient."""
+    def blend(self, points: Tensor, matrices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """A(x) [M, 3, 3]; and of the corners around x: f of their own matrices [M, 8, 3], weights [M, 8] and the
+        weights' slopes [M, 8, 3]."""
         inside = (points - self.origins) * self.inverse_cell
         inside = torch.minimum(inside.clamp(min=0.0), (self.dims - 1).to(points.dtype) - INSIDE)
         lower = inside.long()
@@ -113,9 +119,13 @@ class _Volume:
         sign = (2 * self.offsets - 1) * self.inverse_cell
         slope = sign * torch.stack([wy * wz, wx * wz, wx * wy], dim=-1)
         moved = (blended[..., :3] * points[:, None, None]).sum(dim=-1) + blended[..., 3]
-        value = (weight[..., None] * moved).sum(dim=1)
-        jacobian = weight[..., None, None] * blended[..., :3] + moved[..., :, None] * slope[..., None, :]
-        return value, jacobian.sum(dim=1)
+        return (weight[..., None, None] * blended[..., :3]).sum(dim=1), moved, weight, slope
+
+    def warp(self, points: Tensor, matrices: Tensor) -> tuple[Tensor, Tensor]:
+        """f(x) [M, 3] and its Jacobian [M, 3, 3] at ``points`` [M, 3], which get no gradient."""
+        rotation, moved, weight, slope = self.blend(points, matrices)
+        jacobian = rotation + (moved[..., :, None] * slope[..., None, :]).sum(dim=1)
+        return (weight[..., None] * moved).sum(dim=1), jacobian
 
 
 def _adjugate(m: Tensor) -> tuple[Tensor, Tensor]:

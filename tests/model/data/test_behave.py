@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from chona_model.data.behave import read_behave
+from chona_model.data.behave import UPRIGHT, read_behave
 from chona_model.data.dataset import DatasetError, load_pixels
 
 SEQUENCE = "Date01_Sub01_crate_lift"
@@ -28,7 +28,7 @@ def test_names_and_views_are_those_of_the_folder(tiny_behave: Path) -> None:
 def test_the_principal_point_moves_by_half_a_pixel(tiny_behave: Path) -> None:
     camera = read_behave(tiny_behave).views[1].camera
     # A point on BEHAVE's optical axis lies at (cx, cy) with centres at integers, so at +0.5 here.
-    pixel, depth = camera.project(np.array([0.0, 0.0, 2.0]))
+    pixel, depth = camera.project(np.array([0.0, 2.0, 0.0]))
     assert pixel == pytest.approx([15.5 + 0.5, 11.5 + 0.5])
     assert depth == pytest.approx(2.0)
     assert camera.intrinsics[0, 0] == 40.0
@@ -37,8 +37,8 @@ def test_the_principal_point_moves_by_half_a_pixel(tiny_behave: Path) -> None:
 def test_the_object_frame_is_its_template_mean_under_the_fit(tiny_behave: Path) -> None:
     dataset = read_behave(tiny_behave)
     frame = dataset.views[0].pose.world_from_object[0]
-    assert frame[:3, 3] == pytest.approx([0.1, 0.2, 2.5])
-    assert frame[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 0.0, -1.0])
+    assert frame[:3, 3] == pytest.approx([0.1, 2.5, -0.2])
+    assert frame[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0])
     assert dataset.objects["crate"].lower == pytest.approx([-0.1, -0.2, -0.3])
     assert dataset.objects["crate"].upper == pytest.approx([0.1, 0.2, 0.3])
 
@@ -46,8 +46,9 @@ def test_the_object_frame_is_its_template_mean_under_the_fit(tiny_behave: Path) 
 def test_rest_pose_frames_are_translations_to_the_joints(tiny_behave: Path) -> None:
     dataset = read_behave(tiny_behave)
     frames, joints = dataset.views[0].pose.world_from_bone, dataset.persons["Sub01"].rest_joints
-    assert frames[:, :3, :3] == pytest.approx(np.broadcast_to(np.eye(3), (24, 3, 3)))
-    assert frames[:, :3, 3] == pytest.approx(joints + np.array([0.0, 0.0, 2.0]))
+    assert frames[:, :3, :3] == pytest.approx(np.broadcast_to(UPRIGHT[:3, :3], (24, 3, 3)))
+    assert frames[:, :3, 3] == pytest.approx((joints + np.array([0.0, 0.0, 2.0])) @ UPRIGHT[:3, :3].T)
+    assert UPRIGHT[:3, :3] @ [0.0, -1.0, 0.0] == pytest.approx([0.0, 0.0, 1.0])
 
 
 def test_single_frames_can_be_chosen(tiny_behave: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from chona_model.data.behave import read_behave
+from chona_model.data.behave import UPRIGHT, read_behave
 from chona_model.data.behave_objects import read_ply_vertices
 from chona_model.data.body_model import read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, View, load_pixels
@@ -46,7 +46,7 @@ def test_bone_frames_move_the_surface_onto_the_registered_mesh(dataset: Dataset,
     for view in frames:
         person = dataset.persons[view.pose.person or ""]
         assert person.surface is not None
-        transforms = canonical_to_world(view.pose.world_from_bone, person.rest_joints)
+        transforms = canonical_to_world(UPRIGHT.T @ view.pose.world_from_bone, person.rest_joints)
         blended = np.einsum("vb,bij->vij", person.surface.weights, transforms)
         moved = np.einsum("vij,vj->vi", blended[:, :3, :3], person.surface.vertices) + blended[:, :3, 3]
         registered = read_ply_vertices(view.image.parent / "person" / "fit02" / "person_fit.ply")
@@ -60,7 +60,7 @@ def test_the_template_under_the_object_frame_equals_its_registered_mesh(
         (name,) = view.pose.objects
         template = read_ply_vertices(next((hoibench / "behave" / "objects" / name).glob("*_f*.ply")))
         centred = template - template.mean(0)
-        frame = view.pose.world_from_object[0]
+        frame = UPRIGHT.T @ view.pose.world_from_object[0]
         registered = read_ply_vertices(view.image.parent / name / "fit01" / f"{name}_fit.ply")
         assert np.abs(centred @ frame[:3, :3].T + frame[:3, 3] - registered).max() < 1e-6
         shape = dataset.objects[name]
@@ -73,7 +73,7 @@ def _silhouette(view: View, dataset: Dataset, shift: float = 0.0) -> np.ndarray:
     person = dataset.persons[view.pose.person or ""]
     assert person.surface is not None
     registered = read_ply_vertices(view.image.parent / "person" / "fit02" / "person_fit.ply")
-    pixels, _ = view.camera.project(registered)
+    pixels, _ = view.camera.project(registered @ UPRIGHT[:3, :3].T)
     image = Image.new("L", (view.camera.width * 4, view.camera.height * 4))
     draw = ImageDraw.Draw(image)
     for triangle in pixels[person.surface.faces] + shift:
