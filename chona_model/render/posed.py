@@ -131,10 +131,9 @@ def window_of(posed: PosedPart, figure: Figure, camera: Camera) -> Window:
         if not flat:  # the sphere lies in the cone of its box's nearest and farthest faces
             low = np.minimum(low / (depth - radius), low / (depth + radius))
             high = np.maximum(high / (depth - radius), high / (depth + radius))
-        sides += [
-            max(int(np.floor(focal * low.min() + centre)), 0),
-            min(int(np.ceil(focal * high.max() + centre)), size),
-        ]
+        # A pixel more on every side, as spans have it.
+        first, last = np.floor(focal * low.min() + centre) - 1, np.ceil(focal * high.max() + centre) + 1
+        sides += [int(np.clip(first, 0, size)), int(np.clip(last, 0, size))]
     return Window(*sides)
 
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tiny_models import trained
+from tiny_models import lit, trained, unlit
 
 from chona_model.actor import EMPTY_DEPTH
 from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.data.dataset import Pose
 from chona_model.evaluate.metrics import psnr
 from chona_model.formats.model_file import read_header
+from chona_model.grid_actor import GridActor
 from chona_model.model_store import load_actor, save_actor
 from chona_model.settings import RENDER_PRESETS
 
@@ -66,11 +67,17 @@ def test_a_model_file_renders_the_same_picture(scene, tmp_path) -> None:
     np.testing.assert_array_equal(header.rest_joints("Sub01"), actor.persons["Sub01"].rest_joints)
 
 
+@pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("metres", [1e4, 1e6])
-def test_where_the_figure_stands_does_not_matter(scene, metres: float) -> None:
+def test_where_the_figure_stands_does_not_matter(scene, metres: float, turned: bool) -> None:
+    """Nor, without a light, does how it is turned there."""
     actor, view = scene
     move = np.eye(4)
-    move[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
+    if turned:
+        actor = GridActor(unlit(actor.model))
+        move[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
+    else:
+        actor = GridActor(lit(actor.model))
     move[:3, 3] = metres * np.array([1.0, -0.5, 0.2])
     bones, things = move @ view.pose.world_from_bone, move @ view.pose.world_from_object
     pose = Pose(view.pose.person, view.pose.objects, bones, things)

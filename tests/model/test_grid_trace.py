@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tiny_models import trained
+from tiny_models import lit, trained
 
 from chona_model import grid_trace
 from chona_model.grid_inputs import parts_of, starts_of, surfaces_of
@@ -26,7 +26,7 @@ class Case:
 
     def __init__(self, objects: int) -> None:
         dataset, trainer = trained(persons=2, objects=objects)
-        self.model, random = trainer.actor().model, np.random.default_rng(1)
+        self.model, random = lit(trainer.model), np.random.default_rng(1)
         views = [dataset.views[0], dataset.views[-1]]
         self.posed = [self.model.posed(view.pose) for view in views]
         self.table = make_pose_table(self.model, self.posed)
@@ -60,8 +60,11 @@ class Case:
         self.model.field.gradient.buffer.zero_()
         if fused:
             blended = [self.model.matrices([posed])[0] for posed in self.posed]
-            rays = [replace(rays, matrices=matrices) for rays, matrices in zip(self.rays, blended, strict=True)]
             lights = self.model.root_light(self.posed)
+            rays = [
+                replace(rays, matrices=matrices, parts=rays.parts._replace(light=light.detach().numpy()))
+                for rays, matrices, light in zip(self.rays, blended, lights, strict=True)
+            ]
             out, _ = trace_rays(self.model, rays, self.pairs, self.codes, lights, settings)
         else:
             columns = [
@@ -87,7 +90,6 @@ def test_one_pass_equals_the_stages(objects: int) -> None:
     out, grads = case.outcome(True)
     expected, twins = case.outcome(False)
     assert expected[:, 3].max() > 0.9
-    assert case.model.field.light.abs().max() > 0.05
     difference = (out - expected).abs()
     # A ray may gain or lose a sample that falls within rounding of an occupancy cell's border.
     assert difference.amax(dim=1).kthvalue(int(0.98 * len(out))).values < 1e-3
@@ -132,4 +134,5 @@ def test_the_early_stop_evaluates_less_and_sees_nearly_the_same() -> None:
     settings = TraceSettings(step=0.02, stop=1e-2)
     out, _ = case.outcome(True, settings)
     whole, _ = case.outcome(True, TraceSettings(step=0.02, stop=0.0))
-    assert (out[:, :4] - whole[:, :4]).abs().max() < 0.011
+    brightest = max(1.0, float(whole[:, :3].max()))  # light may take colours beyond 1
+    assert (out[:, :4] - whole[:, :4]).abs().max() < 0.011 * brightest

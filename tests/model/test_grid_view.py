@@ -79,7 +79,8 @@ def test_the_early_stop_saves_evaluations_and_little_else(scene) -> None:
         for settings in (replace(RENDER_PRESETS["final"], stop=stop) for stop in (0.0, 0.01))
     )
     assert stopped.evaluated < whole.evaluated
-    assert np.abs(stopped.values[:, :4] - whole.values[:, :4]).max() < 0.011
+    brightest = max(1.0, float(whole.values[:, :3].max()))  # light may take colours beyond 1
+    assert np.abs(stopped.values[:, :4] - whole.values[:, :4]).max() < 0.011 * brightest
 
 
 def test_threads_change_nothing(scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +100,8 @@ def test_a_window_of_the_view_is_that_part_of_it(scene) -> None:
     inside = (whole.rows >= 10) & (whole.rows < 31) & (whole.columns >= 20) & (whole.columns < 50)
     np.testing.assert_array_equal(part.rows, whole.rows[inside])
     np.testing.assert_array_equal(part.columns, whole.columns[inside])
-    np.testing.assert_array_equal(part.values, whole.values[inside])
+    # But for how many roots were tried: rays look ahead the farther the fewer of them are left in their block.
+    np.testing.assert_array_equal(part.values[:, :6], whole.values[inside, :6])
     assert len(part.rows) > 100
 
 

@@ -41,9 +41,14 @@ def trained(steps: int = 500, persons: int = 1, objects: int = 1) -> tuple[Datas
     return dataset, trainer
 
 
-def lit(model: GridModel) -> GridModel:
-    """A copy of a model under a strong light; the tiny capture has none."""
+def lit(model: GridModel, strength: float = 0.3) -> GridModel:
+    """A copy of a model under another light; the tiny capture has hardly any."""
     copy = deepcopy(model)
     with torch.no_grad():
-        copy.field.light.copy_(0.3 * torch.randn(copy.field.light.shape, generator=torch.manual_seed(3)))
+        copy.field.light.copy_(strength * torch.randn(copy.field.light.shape, generator=torch.manual_seed(3)))
     return copy
+
+
+def unlit(model: GridModel) -> GridModel:
+    """A copy of a model without light."""
+    return lit(model, 0.0)
