@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from chona_model.actor import EMPTY_DEPTH, Actor, Picture
+from chona_model.camera import Camera
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.model_file import file_hash
 from chona_model.formats.shot import Shot, ShotError, read_shot
@@ -50,7 +51,7 @@ def bake(
     content = read_shot(shot)
     chosen = _choose(content, frames)
     actor = load_actor(model, device)
-    _check_actors(content, actor)
+    check_actors(content, actor)
     settings, digest = RENDER_PRESETS[preset], file_hash(model)
     _check_writable(out)
     began = time.perf_counter()
@@ -83,9 +84,11 @@ def bake(
     return report
 
 
-def render_frame(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> FrameLayers:
-    """One frame's pixels: actors are layered by depth, pixel by pixel, nearest in front."""
-    camera = shot.camera(index)
+def render_frame(
+    actor: Actor, shot: Shot, index: int, settings: RenderSettings, camera: Camera | None = None
+) -> FrameLayers:
+    """One frame's pixels, seen by the shot's camera or another: actors are layered by depth, pixel by pixel."""
+    camera = camera or shot.camera(index)
     pictures = [actor.render(member.pose(index), camera, settings) for member in shot.actors]
     near, far = shot.clip[index]
     layers = [_layer(picture, near, far) for picture in pictures]
@@ -159,7 +162,8 @@ def _choose(shot: Shot, frames: Sequence[int] | None) -> list[int]:
     return [place[frame] for frame in sorted(set(frames))]
 
 
-def _check_actors(shot: Shot, actor: Actor) -> None:
+def check_actors(shot: Shot, actor: Actor) -> None:
+    """``ShotError`` where the shot wants a person, an object or a bone that the model lacks."""
     for member in shot.actors:
         if member.person is not None and member.person not in actor.persons:
             raise ShotError(

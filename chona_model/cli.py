@@ -145,6 +145,10 @@ def make_parser() -> Parser:
     bake.add_argument("--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"default: {DEFAULT_PRESET}")
     bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
 
+    served = add("serve", _serve, "stay up and render poses that come in on standard input (for the add-on's previews)")
+    served.add_argument("--model", type=Path, required=True, metavar="FILE")
+    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+
     info = add("info", _info, "show what a model file holds")
     info.add_argument("file", type=Path, metavar="FILE")
     info.add_argument("--json", action="store_true", help="as JSON")
@@ -244,6 +248,20 @@ def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
     )  # fmt: skip
     words = f"{report.written} frames written, {report.skipped} were up to date, {report.seconds:.1f} s: {out}"
     return _finish(progress, words, written=report.written, skipped=report.skipped, seconds=report.seconds)
+
+
+def _serve(arguments: argparse.Namespace, _progress: Progress) -> int:
+    from chona_model.formats.model_file import read_header
+
+    read_header(arguments.model)
+    device = resolve_device(arguments.device)
+    from chona_model.serve import serve
+
+    frames = sys.stdout.buffer
+    # Libraries print where they like; stdout belongs to the frames.
+    with contextlib.redirect_stdout(sys.stderr):
+        serve(arguments.model, device, sink=frames)
+    return DONE
 
 
 def _finish(progress: Progress, words: str, **fields: Any) -> int:

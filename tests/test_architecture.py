@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = (
     ("__main__",),
     ("cli",),
+    ("serve",),
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
     ("model_store",),
     ("grid_actor", "exact_actor", "formats"),

@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 import msgspec
 import numpy as np
@@ -163,14 +163,15 @@ def write_shot(path: Path, shot: Shot) -> None:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def read_shot(path: Path) -> Shot:
-    """Reads and checks a shot.
+def read_shot(source: Path | BinaryIO) -> Shot:
+    """Reads and checks a shot, from a file or from an open stream.
 
     Raises:
         ShotError: the file is missing, damaged, of another version, or its contents break the format.
     """
+    path = source if isinstance(source, Path) else "a stream"
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with np.load(source, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise ShotError(
@@ -206,7 +207,7 @@ def read_shot(path: Path) -> Shot:
         raise ShotError(f"{path}: {error}") from error
 
 
-def _header(arrays: Mapping[str, np.ndarray], path: Path) -> _Header:
+def _header(arrays: Mapping[str, np.ndarray], path: Path | str) -> _Header:
     if "header" not in arrays or arrays["header"].dtype != np.uint8:
         raise ShotError(f"{path} has no header (uint8, JSON); expected a shot written by the add-on, export it again")
     text = arrays["header"].tobytes()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tiny_capture import SKELETON, tiny_cameras, tiny_capture, tiny_pose
 
-from chona_model.data.dataset import Dataset
+from chona_model.data.dataset import Dataset, View
 from chona_model.formats.shot import Shot, ShotActor, write_shot
 
 SEQUENCE = "Date01_Sub01_box01"
@@ -93,4 +93,18 @@ def write_header(path: Path, **changes: Any) -> Path:
     }  # fmt: skip
     text = json.dumps({"__metadata__": {"chona": json.dumps(content)}}).encode()
     path.write_bytes(struct.pack("<Q", len(text)) + text)
+    return path
+
+
+def write_view_shot(path: Path, view: View) -> Path:
+    """A shot of one frame: what a view shows, seen by its camera."""
+    pose, camera = view.pose, view.camera
+    actor = ShotActor(
+        "actor", pose.person, pose.objects, SKELETON.names, pose.world_from_bone[None], pose.world_from_object[None]
+    )
+    shot = Shot(
+        "still", 24.0, camera.width, camera.height, camera.kind, np.array([1]), camera.intrinsics[None],
+        camera.world_from_camera[None], np.array([[0.01, 100.0]]), (actor,),
+    )  # fmt: skip
+    write_shot(path, shot)
     return path
