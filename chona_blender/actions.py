@@ -14,7 +14,8 @@ from .errors import ChonaError
 from .frames import describe_frames
 from .jobs import Job
 from .rig.armature import create_rig
-from .shot import sample_shot, save_shot
+from .shot import sample_shot, sample_shot_now
+from .shot_file import Shot, save_shot
 from .worker import chona_command
 from .worker_check import check_worker
 
@@ -80,16 +81,7 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
     settings = settings_of(scene)
     header = model_cache.load(settings.model_path)
     name = bake_name(settings)
-    if settings.person and settings.armature is None:
-        raise ChonaError(f"no armature poses {settings.person}; press Create Rig, or choose an armature under Rig")
-    objects = list(settings.used_objects())
-    if not settings.person and not objects:
-        raise ChonaError("there is nothing to render: neither a person nor an object is chosen; choose one under Rig")
-    for item in objects:
-        if item.empty is None or item.empty.name not in bpy.data.objects:
-            raise ChonaError(
-                f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
-            )
+    empties = _empties(settings)
     frames = settings.frames()
     if not frames:
         first, last = (
@@ -101,7 +93,6 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
     folder = writable_folder(settings.output_folder, "output folder")
     python = _worker_python()
     shot = folder / f"{name}.shot.npz"
-    empties = {item.name: item.empty for item in objects}
     sampled = sample_shot(
         scene, settings.armature, empties, settings.person or None, list(empties), frames, header, name
     )
@@ -110,6 +101,29 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
     arguments += ["--preset", settings.preset, *_device(), *(["--overwrite"] if settings.overwrite else [])]
     job = Job(f"Bake {name} ({settings.preset}, {describe_frames(frames)})", chona_command(python, arguments))
     return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
+
+
+def sample_now(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Shot:
+    """The actor and the camera as the scene shows them, edits without a key included; nothing is changed."""
+    settings = settings_of(scene)
+    header = model_cache.load(settings.model_path)
+    empties = _empties(settings)
+    return sample_shot_now(scene, depsgraph, settings.armature, empties, settings.person or None, list(empties), header)
+
+
+def _empties(settings: CHONA_PG_settings) -> dict[str, bpy.types.Object]:
+    """What moves each object that is rendered, after a look at whether there is an actor at all."""
+    if settings.person and settings.armature is None:
+        raise ChonaError(f"no armature poses {settings.person}; press Create Rig, or choose an armature under Rig")
+    objects = list(settings.used_objects())
+    if not settings.person and not objects:
+        raise ChonaError("there is nothing to render: neither a person nor an object is chosen; choose one under Rig")
+    for item in objects:
+        if item.empty is None or item.empty.name not in bpy.data.objects:
+            raise ChonaError(
+                f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
+            )
+    return {item.name: item.empty for item in objects}
 
 
 def start_train(scene: bpy.types.Scene) -> Job:

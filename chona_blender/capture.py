@@ -31,7 +31,8 @@ from .capture_ring import ring_cameras
 from .errors import ChonaError
 from .rig.mapping import bone_mapping
 from .rig.rest_pose import RestPose, captured_rest_pose
-from .rig.sampling import Progress, RigidPose, Samples, check_armature, rigid_pose, sample
+from .rig.rigid import RigidPose, rigid_pose
+from .rig.sampling import Progress, Samples, check_armature, sample
 
 SIZE_TOLERANCE = 0.01
 """Largest relative change of an object's size over the frames."""

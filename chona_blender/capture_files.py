@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .errors import ChonaError
-from .shot import write_npz
+from .shot_file import write_npz
 
 POSE_TOLERANCE = 1e-5
 """Frames whose pose or cameras moved more than this since they were rendered are rendered again."""

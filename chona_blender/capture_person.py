@@ -11,7 +11,7 @@ from bpy.types import Mesh, Object, Scene
 from .errors import ChonaError
 from .rig.rest_pose import RestPose
 from .rig.sampling import evaluation_scene
-from .shot import write_npz
+from .shot_file import write_npz
 
 
 def skeleton_of(armature: Object) -> tuple[tuple[str, ...], tuple[int, ...]]:

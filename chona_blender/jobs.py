@@ -16,7 +16,7 @@ from typing import Any
 import bpy
 
 from .errors import ChonaError
-from .worker import Worker
+from .worker import Worker, last_words
 
 POLL_SECONDS = 0.1
 RUNNING, DONE, FAILED, CANCELLED = "RUNNING", "DONE", "FAILED", "CANCELLED"
@@ -79,7 +79,7 @@ class Job:
         elif self.worker.cancelled_at is not None:
             self.status, self.error = CANCELLED, f"{self.title} was cancelled"
         else:
-            self.status, self.error = FAILED, self.error or self._last_words(code)
+            self.status, self.error = FAILED, self.error or last_words(code, self.worker.lines)
         return True
 
     def _take(self, event: dict[str, Any]) -> None:
@@ -96,13 +96,6 @@ class Job:
             self.result = event
         elif kind == "error":
             self.error = str(event.get("message") or "")
-
-    def _last_words(self, code: int) -> str:
-        said = next((line for line in reversed(self.worker.lines) if line.strip()), "it said nothing")
-        how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
-        if code in {-6, -9}:
-            how += " (out of memory?)"
-        return f"the worker {how}: {said}"
 
     def cancel(self) -> None:
         """Ask the worker to stop; `poll` tells when it has."""

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import compositing, diagnosis, jobs, model_cache, preferences
+from . import compositing, diagnosis, jobs, live, model_cache, preferences
 from .frames import describe_frames
+from .live_view import camera_views
 
 
 class _Sidebar:
@@ -118,9 +119,22 @@ class CHONA_PT_bake(_Sidebar, bpy.types.Panel):
         button = self.layout.row()
         button.scale_y = 1.4
         button.operator("chona.bake", text=f"Bake {words}", icon="RENDER_ANIMATION")
+        self.draw_preview(context)
         if not bpy.data.filepath and settings.output_folder.startswith("//"):
             words = "The file was never saved: frames go to a temporary folder"
             wrapped(self.layout, words, icon="INFO", context=context)
+
+    def draw_preview(self, context: bpy.types.Context) -> None:
+        """The switch of the live preview, and why nothing is seen."""
+        preview = live.preview
+        row = self.layout.row(align=True)
+        row.operator("chona.live_preview", icon="VIEW_CAMERA", depress=preview.is_on)
+        if preview.is_on:
+            row.prop(context.scene.chona, "live_opacity", text="", slider=True)
+        if preview.error:
+            wrapped(self.layout.box(), preview.error, icon="ERROR", context=context)
+        elif preview.is_on and next(camera_views(context.scene), None) is None:
+            wrapped(self.layout, "Look through the camera to see the preview (Numpad 0)", icon="INFO", context=context)
 
 
 class CHONA_PT_composite(_Sidebar, bpy.types.Panel):

@@ -138,6 +138,15 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         default=True,
     )
 
+    live_opacity: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Opacity",
+        description="How much the live preview covers; less than 1 lets the bones under it shine through",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     capture_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Folder",
         description="Folder for the capture; several sequences may go into one",

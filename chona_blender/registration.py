@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import bpy
 
-from . import commands, model_cache, panels, preferences, properties, worker
+from . import commands, live, model_cache, panels, preferences, properties, worker
 from .jobs import board, remember_error
-from .operators import bake, capture, composite, diagnose, rig, train
+from .operators import bake, capture, composite, diagnose, preview, rig, train
 
 CLASSES: tuple[type, ...] = (
     properties.CHONA_PG_object,
@@ -18,6 +18,7 @@ CLASSES: tuple[type, ...] = (
     preferences.CHONA_AP_preferences,
     *rig.CLASSES,
     *bake.CLASSES,
+    *preview.CLASSES,
     *composite.CLASSES,
     *capture.CLASSES,
     *train.CLASSES,
@@ -42,6 +43,7 @@ STEPS: tuple[Step, ...] = (
     *(_class_step(cls) for cls in CLASSES),
     Step(properties.register, properties.unregister),
     Step(model_cache.register, model_cache.unregister),
+    Step(live.register, live.unregister),
     Step(commands.register, commands.unregister),
     Step(lambda: atexit.register(_at_exit), lambda: atexit.unregister(_at_exit)),
 )

@@ -1,43 +1,25 @@
-"""Writes a shot (docs/file-formats.md): cameras and actors over a frame range, with numpy alone."""
+"""Samples a shot: cameras and actors over a frame range, or as they are now."""
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from bpy.types import Object, Scene
+from bpy.types import Depsgraph, Object, Scene
 
-from .camera import image_format
+from .camera import ImageFormat, image_format
 from .errors import ChonaError
 from .model_header import ModelHeader
 from .rig.mapping import bone_mapping
-from .rig.rest_pose import model_rest_pose
-from .rig.sampling import Progress, check_armature, frame_list, rescale_camera, rigid_pose, sample, stored_overrides
-from .rig.validation import STRETCH_LIMIT, Dropped
+from .rig.rest_pose import RestPose, model_rest_pose
+from .rig.rigid import rescale_camera, rigid_pose
+from .rig.sampling import Progress, Samples, check_armature, frame_list, sample, sample_now, stored_overrides
+from .rig.validation import STRETCH_LIMIT
+from .shot_file import SUFFIX, Shot, save_shot, shot_path
 
-SUFFIX = ".shot.npz"
 _RESERVED = frozenset('/\\:*?"<>|\0')
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A sampled shot, not yet written.
-
-    Attributes:
-        header: what the file's JSON header holds.
-        arrays: the file's arrays without the header.
-        dropped: scale and shear that was dropped, the worst first.
-    """
-
-    header: dict[str, Any]
-    arrays: dict[str, np.ndarray]
-    dropped: tuple[Dropped, ...]
 
 
 def sample_shot(
@@ -74,7 +56,58 @@ def sample_shot(
     numbers = frame_list(frames)
     if not name or name != name.strip() or name.startswith(".") or _RESERVED & set(name):
         raise ChonaError(f"The shot is called '{name}', which cannot start the name of a file. Choose another name")
+    cast = _cast(armature, empties, person, object_names, header, overrides)
     image = image_format(scene)
+    samples = sample(scene, cast.armature, cast.bones, cast.placed, frames=numbers, image=image, progress=progress)
+    return _shot(scene, cast, samples, image, name, limit)
+
+
+def sample_shot_now(
+    scene: Scene,
+    depsgraph: Depsgraph,
+    armature: Object | None,
+    empties: Mapping[str, Object | None],
+    person: str | None,
+    object_names: Sequence[str],
+    header: ModelHeader,
+    *,
+    limit: float = STRETCH_LIMIT,
+) -> Shot:
+    """A shot of one frame: the actor and the scene's camera as they are now, edits without a key included.
+
+    Args:
+        depsgraph: evaluated, of a view layer of ``scene``; for the others see ``sample_shot``.
+
+    Raises:
+        ChonaError: see ``sample_shot``; also what the view layer does not evaluate.
+    """
+    cast = _cast(armature, empties, person, object_names, header, None)
+    image = image_format(scene)
+    samples = sample_now(scene, depsgraph, cast.armature, cast.bones, cast.placed, image)
+    return _shot(scene, cast, samples, image, "live", limit)
+
+
+@dataclass(frozen=True)
+class _Cast:
+    """An actor whose parts have been found: ``bones`` of the armature for the model's, an object for each empty."""
+
+    person: str | None
+    armature: Object | None
+    bones: list[str]
+    rest: RestPose | None
+    object_names: Sequence[str]
+    placed: list[Object]
+    header: ModelHeader
+
+
+def _cast(
+    armature: Object | None,
+    empties: Mapping[str, Object | None],
+    person: str | None,
+    object_names: Sequence[str],
+    header: ModelHeader,
+    overrides: Mapping[str, str] | None,
+) -> _Cast:
     placed = _placed(empties, object_names, header)
     bones: list[str] = []
     rest = None
@@ -89,8 +122,12 @@ def sample_shot(
         rest = model_rest_pose(armature, bones, joints)
     elif not placed:
         raise ChonaError("The shot has neither a person nor an object. Choose a person, an object or both")
-    samples = sample(scene, armature if rest else None, bones, placed, frames=numbers, image=image, progress=progress)
-    pose = rigid_pose(samples, rest, header.names, object_names, limit=limit, object_limit=limit)
+    return _Cast(person, armature if rest else None, bones, rest, object_names, placed, header)
+
+
+def _shot(scene: Scene, cast: _Cast, samples: Samples, image: ImageFormat, name: str, limit: float) -> Shot:
+    names, object_names = cast.header.names, cast.object_names
+    pose = rigid_pose(samples, cast.rest, names, object_names, limit=limit, object_limit=limit)
     cameras = [rescale_camera(row[0], pose.scale) for row in samples.cameras]
     kinds = sorted({camera.kind for camera in cameras})
     if len(kinds) > 1:
@@ -108,15 +145,15 @@ def sample_shot(
         "camera_kind": kinds[0],
         "actors": [
             {
-                "name": armature.name if armature is not None and rest else person or "objects",
-                "person": person,
+                "name": cast.armature.name if cast.armature is not None else cast.person or "objects",
+                "person": cast.person,
                 "objects": list(object_names),
-                "bones": list(header.names) if rest else [],
+                "bones": list(names) if cast.rest else [],
             }
         ],
     }
     arrays = {
-        "frames": numbers,
+        "frames": samples.frames,
         "camera.intrinsics": np.stack([camera.intrinsics for camera in cameras]),
         "camera.world_from_camera": np.stack([camera.world_from_camera for camera in cameras]),
         "camera.clip": np.stack([camera.clip for camera in cameras]),
@@ -137,45 +174,6 @@ def _placed(empties: Mapping[str, Object | None], object_names: Sequence[str], h
             raise ChonaError(f"Object '{each}' has no empty. Create a rig with it or choose an empty for it")
         placed.append(empty)
     return placed
-
-
-def save_shot(path: str | Path, shot: Shot) -> Path:
-    """Writes a shot under a temporary name and renames it; ``.shot.npz`` is appended where it is missing.
-
-    Raises:
-        ChonaError: the folder cannot be written to.
-    """
-    path = shot_path(path)
-    text = np.frombuffer(json.dumps(shot.header).encode("utf-8"), dtype=np.uint8)
-    write_npz(path, {"header": text, **shot.arrays})
-    return path
-
-
-def shot_path(path: str | Path) -> Path:
-    """``path`` with the suffix ``.shot.npz``."""
-    path = Path(path)
-    return path if path.name.endswith(SUFFIX) else path.with_name(path.name.removesuffix(".npz") + SUFFIX)
-
-
-def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes arrays under a temporary name beside ``path`` and renames: a reader never sees half a file.
-
-    Raises:
-        ChonaError: the folder cannot be written to.
-    """
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)
-        Path(temporary).replace(path)
-        temporary = None
-    except OSError as error:
-        raise ChonaError(f"'{path}' cannot be written ({error.strerror}). Choose another folder") from error
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
 
 
 def write_shot(

@@ -17,9 +17,9 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 from .errors import ChonaError
 
@@ -79,6 +79,57 @@ def worker_environment() -> dict[str, str]:
     return kept
 
 
+def start_process(command: Sequence[str], environment: dict[str, str] | None, **pipes: Any) -> subprocess.Popen[Any]:
+    """Start a worker in a process group of its own, its output in pipes.
+
+    Args:
+        environment: default `worker_environment()`.
+        pipes: further arguments of Popen: standard input, text or bytes.
+
+    Raises:
+        ChonaError: the program does not start.
+    """
+    own_group: dict[str, Any] = (
+        {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
+        if sys.platform == "win32"
+        else {"start_new_session": True}
+    )
+    try:
+        return subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=worker_environment() if environment is None else environment,
+            **pipes,
+            **own_group,
+        )
+    except OSError as error:
+        raise ChonaError(
+            f"the worker's Python {command[0]} does not start: {error.strerror or error}; "
+            "name another one in the preferences"
+        ) from error
+
+
+def kill_group(process: subprocess.Popen[Any]) -> None:
+    """Kill a worker with all that it has started; harmless when it has ended."""
+    if process.poll() is not None:  # its number may belong to another process by now
+        return
+    with contextlib.suppress(OSError):
+        if sys.platform == "win32":
+            process.kill()
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def last_words(code: int, lines: Iterable[str]) -> str:
+    """How a worker ended and the last that it said, from its exit code and its lines."""
+    said = next((line for line in reversed(list(lines)) if line.strip()), "it said nothing")
+    how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
+    if code in {-6, -9}:
+        how += " (out of memory?)"
+    return f"the worker {how}: {said}"
+
+
 class Worker:
     """One running worker process. Call `close` always, it is harmless when all has ended."""
 
@@ -87,35 +138,21 @@ class Worker:
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.cancelled_at: float | None = None
         self._queue: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        own_group: dict[str, Any] = (
-            {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
-            if sys.platform == "win32"
-            else {"start_new_session": True}
+        self._process = start_process(
+            self.command,
+            environment,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
         )
-        try:
-            self._process = subprocess.Popen(
-                self.command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                env=worker_environment() if environment is None else environment,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-                **own_group,
-            )
-        except OSError as error:
-            raise ChonaError(
-                f"the worker's Python {self.command[0]} does not start: {error.strerror or error}; "
-                "name another one in the preferences"
-            ) from error
         self._threads = [
             threading.Thread(target=self._read_events, args=(self._process.stdout,), daemon=True),
             threading.Thread(target=self._read_words, args=(self._process.stderr,), daemon=True),
         ]
         for thread in self._threads:
             thread.start()
-        _running.add(self)
+        running.add(self)
 
     def _read_events(self, stream: IO[str]) -> None:
         with contextlib.suppress(ValueError), stream:
@@ -145,7 +182,7 @@ class Worker:
             return None
         for thread in self._threads:
             thread.join(timeout=2.0)
-        _running.discard(self)
+        running.discard(self)
         return self._process.returncode
 
     def wait(self, seconds: float | None = None) -> int | None:
@@ -164,7 +201,7 @@ class Worker:
     def press(self) -> None:
         """Kill a worker that was cancelled and has not ended within the grace time."""
         if self.cancelled_at is not None and time.monotonic() - self.cancelled_at > GRACE_SECONDS:
-            self._kill()
+            kill_group(self._process)
 
     def close(self, grace: float = 2.0) -> None:
         """End the process whatever it does, and wait until it is gone."""
@@ -173,24 +210,25 @@ class Worker:
             try:
                 self._process.wait(timeout=grace)
             except subprocess.TimeoutExpired:
-                self._kill()
+                kill_group(self._process)
                 self._process.wait()
         self.code()
 
-    def _kill(self) -> None:
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":
-                self._process.kill()
-            else:
-                os.killpg(self._process.pid, signal.SIGKILL)
+
+class Closable(Protocol):
+    """What `close_all` ends."""
+
+    def close(self) -> None:
+        """End the process, and wait until it is gone."""
 
 
-_running: set[Worker] = set()
+running: set[Closable] = set()
+"""Every worker that was started and has not been seen to end."""
 
 
 def close_all() -> None:
     """End every worker: when Blender quits or the add-on is switched off."""
-    for worker in list(_running):
+    for worker in list(running):
         worker.close()
 
 

@@ -7,23 +7,29 @@ volume integration.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from chona_model.deform.gradients import attach_implicit_gradients
-from chona_model.deform.inverse import Roots, bone_starts, find_roots
+from chona_model.deform.inverse import Roots, bone_distances, bone_starts, find_roots
+from chona_model.deform.predict import Prediction, predict
 from chona_model.deform.regularisers import bone_regularisers
 from chona_model.deform.skinning import ForwardSkinning
 from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import IdentityCodes
 from chona_model.field.radiance import FieldSample, RadianceField
 from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, pose_code_size
-from chona_model.geometry import inverse_3x3, safe_divide
+from chona_model.geometry import box_distances, inverse_3x3, safe_divide, segment_distances
+from chona_model.render.bounds import BODY_REACH, OBJECT_MARGIN
 from chona_model.render.frustum import conical_frusta, cylinders
 from chona_model.render.integration import EMPTY_DEPTH, integrate, ray_weights, visible_confidence
 from chona_model.render.sampling import stratified_edges
 from chona_model.settings import ExactSettings
+
+PREDICTION_MARGIN = 0.03
+"""How far a predicted root may be off, metres: nearer than this to what could hold something it is followed."""
 
 COVARIANCES = ("warped", "plain")
 
@@ -53,6 +59,7 @@ class ExactModel(nn.Module):
         self.register_buffer("object_boxes", boxes, persistent=False)
         corners = torch.tensor([shape.lower, shape.upper], dtype=torch.float64)
         self.register_buffer("corners", corners, persistent=False)
+        self._predicted: tuple[PoseBatch, list[int], float, Prediction] | None = None
 
     def canonical_boxes(self, poses: PoseBatch) -> Tensor:
         """[P, N, 2, 3] corners of every slot's object in canonical space; points where the model has no boxes."""
@@ -98,11 +105,41 @@ class ExactModel(nn.Module):
             background=settings.inverse.background,
             size=self.shape.size,
         )
+        empty = torch.zeros_like(usable[:, 0])
+        if settings.inverse.predict > 0:
+            may_hold = partial(self.within_canonical_reach, poses=poses, margin=PREDICTION_MARGIN)
+            prediction = self._prediction(poses, settings.inverse.predict)
+            led = prediction.lead(targets, starts, usable, index, may_hold if settings.bounded else None)
+            starts, usable, empty = led.starts, led.follow, led.empty
 
         def warp(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
             return self.deform.with_jacobian(x, poses, index[rows], settings.offset)
 
-        return find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
+        roots = find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
+        return replace(roots, empty=empty)
+
+    def _prediction(self, poses: PoseBatch, cell: float) -> Prediction:
+        """The grid that leads starts, kept while the poses and the skinning are the same."""
+        versions = [parameter._version for parameter in self.deform.skinning.parameters()]
+        if self._predicted is None or self._predicted[0] is not poses or self._predicted[1:3] != (versions, cell):
+            lower, upper = self.get_buffer("corners").to(poses.transforms)
+            self._predicted = (poses, versions, cell, predict(self.deform, poses, lower, upper, cell))
+        return self._predicted[3]
+
+    def within_reach(self, points: Tensor, poses: PoseBatch, index: Tensor) -> Tensor:
+        """[M] bool: near enough to a bone or an object for anything to be there; what bounds rays, sample by sample."""
+        distance = bone_distances(points, poses, index, self.canonical_boxes(poses))[1]
+        bones, objects = distance[:, : self.shape.bones], distance[:, self.shape.bones :]
+        return (bones <= BODY_REACH).any(dim=-1) | (objects <= OBJECT_MARGIN).any(dim=-1)
+
+    def within_canonical_reach(self, points: Tensor, index: Tensor, poses: PoseBatch, margin: float = 0.0) -> Tensor:
+        """[M] bool: the same of canonical points, ``margin`` metres farther."""
+        heads, tails, present, boxes = poses.heads, poses.tails, poses.present, self.canonical_boxes(poses)
+        if len(heads) > 1:
+            heads, tails, present, boxes = (a.index_select(0, index) for a in (heads, tails, present, boxes))
+        bones = segment_distances(points[:, None], heads, tails) <= BODY_REACH + margin
+        things = box_distances(points[:, None], boxes[..., 0, :], boxes[..., 1, :]) <= OBJECT_MARGIN + margin
+        return (torch.cat([bones, things], dim=-1) & present).any(dim=-1)
 
     def render_rays(
         self,
@@ -209,10 +246,15 @@ class ExactModel(nn.Module):
     ) -> _Samples:
         shape = means.shape[:2]
         targets, posed_covariances = means.reshape(-1, 3), covariances.reshape(-1, 3, 3)
+        count = len(targets)
         ray = torch.arange(shape[0], device=means.device).repeat_interleave(shape[1])
         index = ray_pose[ray]
+        reached = torch.arange(count, device=means.device)
+        if settings.bounded:
+            reached = self.within_reach(targets, poses, index).nonzero()[:, 0]
+            targets, posed_covariances, ray, index = (a[reached] for a in (targets, posed_covariances, ray, index))
         roots = self.find_canonical(targets, poses, index, settings)
-        chosen, usable = self._densest(roots, posed_covariances, identity, ray, settings)
+        chosen, usable = self._densest(roots, posed_covariances, identity, ray, poses, index, settings)
         rows = usable.nonzero()[:, 0]
         found, jacobian = roots.points[rows, chosen[rows]], roots.jacobians[rows, chosen[rows]]
         carried = _carry(posed_covariances[rows], jacobian, settings)
@@ -230,22 +272,34 @@ class ExactModel(nn.Module):
         weights = self.deform.weights(found, poses, index[rows])
         parts = [weights[:, : self.shape.bones], weights[:, self.shape.bones : -1]]
         shares = torch.stack([part.sum(dim=-1) for part in parts], dim=-1)
-        count = len(targets)
+        place = reached[rows]
+        converged = torch.ones(count, dtype=torch.bool, device=means.device).index_copy(0, reached, roots.found)
         return _Samples(
-            rgb=targets.new_zeros(count, 3).index_copy(0, rows, sample.rgb).unflatten(0, shape),
-            density=targets.new_zeros(count).index_copy(0, rows, sample.density).unflatten(0, shape),
-            shares=targets.new_zeros(count, 2).index_copy(0, rows, shares).unflatten(0, shape),
-            converged=roots.found.unflatten(0, shape),
+            rgb=means.new_zeros(count, 3).index_copy(0, place, sample.rgb).unflatten(0, shape),
+            density=means.new_zeros(count).index_copy(0, place, sample.density).unflatten(0, shape),
+            shares=means.new_zeros(count, 2).index_copy(0, place, shares).unflatten(0, shape),
+            converged=converged.unflatten(0, shape),
         )
 
     @torch.no_grad()
     def _densest(
-        self, roots: Roots, covariances: Tensor, identity: Tensor, ray: Tensor, settings: ExactSettings
+        self,
+        roots: Roots,
+        covariances: Tensor,
+        identity: Tensor,
+        ray: Tensor,
+        poses: PoseBatch,
+        index: Tensor,
+        settings: ExactSettings,
     ) -> tuple[Tensor, Tensor]:
         """Which root of each target has the highest density [M], and whether any lies inside canonical space [M]."""
         corners = self.get_buffer("corners").to(roots.points)
         inside = ((roots.points >= corners[0]) & (roots.points <= corners[1])).all(dim=-1)
         candidates = roots.distinct & inside
+        if settings.bounded:
+            target, start = candidates.nonzero(as_tuple=True)
+            reached = self.within_canonical_reach(roots.points[target, start], index[target], poses)
+            candidates[target, start] = reached
         usable = candidates.any(dim=-1)
         chosen = candidates.to(torch.int8).argmax(dim=-1)
         several = (candidates.sum(dim=-1) > 1)[:, None] & candidates

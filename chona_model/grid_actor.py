@@ -15,9 +15,11 @@ from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
+from chona_model.grid_device import DevicePose, make_device_pose, render_on_device
 from chona_model.grid_inputs import Surfaces, occupied_cells, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view
+from chona_model.kernels.grid import fast
 from chona_model.render.occupancy import Occupancy, PartCells, whole_support
 from chona_model.render.posed import window_of
 from chona_model.settings import RenderSettings
@@ -41,7 +43,7 @@ class GridActor:
         self.persons: Mapping[str, Person] = {person.name: person for person in model.persons}
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
-        self._poses: dict[tuple[Any, ...], ReadyPose] = {}
+        self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
         self._cells: dict[bool, tuple[Occupancy, Surfaces, list[PartCells]]] = {}
 
     def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
@@ -58,17 +60,23 @@ class GridActor:
         ready, picture, rays = self.ready(pose, settings), empty_picture(camera), 0
         roots = np.zeros(2)
         for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
-            view = render_view(self.model, ready, camera, settings, band)
+            look: Any = render_view if isinstance(ready, ReadyPose) else render_on_device
+            view = look(self.model, ready, camera, settings, band)
             _fill(picture, view)
             rays += len(view.rows)
             roots += view.values[:, 6:8].sum(axis=0, dtype=np.float64)
         return replace(picture, rays=rays, failed_share=float(roots[0] / max(roots[1], 1.0)))
 
+    @property
+    def fused(self) -> bool:
+        """Whether the processor's kernels take the model: float32 on the CPU. Otherwise stages of tensors do."""
+        return fast(self.model.field.lower)
+
     def forget_poses(self) -> None:
         """Makes the next pose ready anew."""
         self._poses.clear()
 
-    def ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose:
+    def ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose | DevicePose:
         """The pose made ready; the last few are kept, for several cameras and settings."""
         bones = None if pose.world_from_bone is None else pose.world_from_bone.tobytes()
         shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy)
@@ -78,9 +86,8 @@ class GridActor:
                 self._poses.pop(next(iter(self._poses)))
             occupancy, surfaces, cells = self._occupied(settings.occupancy)
             posed = self.model.posed(pose)
-            self._poses[key] = make_ready(
-                self.model, posed, occupancy, surfaces, cells, settings.offset, settings.shading
-            )
+            make = make_ready if self.fused else make_device_pose
+            self._poses[key] = make(self.model, posed, occupancy, surfaces, cells, settings.offset, settings.shading)
         return self._poses[key]
 
     def _occupied(self, skip_empty: bool) -> tuple[Occupancy, Surfaces, list[PartCells]]:
@@ -137,7 +144,7 @@ class GridActor:
     @classmethod
     def rebuild(
         cls, skeleton: Skeleton, persons: Mapping[str, Person], objects: Mapping[str, ObjectShape],
-        object_distance: float, shape: dict[str, Any], tensors: Mapping[str, Tensor],
+        object_distance: float, shape: dict[str, Any], tensors: Mapping[str, Tensor], device: str = "cpu",
     ) -> GridActor:  # fmt: skip
         """Inverse of ``shape`` and ``tensors``."""
         sizes = GridModelShape(**{**shape["sizes"], "field": GridShape(**shape["sizes"]["field"])})
@@ -165,6 +172,7 @@ class GridActor:
                 prefix = f"person.{name}.skin."
                 skin = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
                 model.volumes[index].load_state_dict(skin)
+        model.to(device)
         return actor
 
 

@@ -137,6 +137,15 @@ class GridModel(nn.Module):
         joints = self.persons[person].rest_joints if person >= 0 else np.zeros((len(self.skeleton), 3))
         return Rig(self.skeleton, joints, self.object_distance)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the parameters are."""
+        return self.field.lower.device
+
+    def real(self, array: np.ndarray) -> Tensor:
+        """An array on the model's device, in its floating type."""
+        return torch.as_tensor(array, dtype=self.field.lower.dtype, device=self.device)
+
     def person_index(self, name: str | None) -> int:
         """Index of a person by name; −1 for None.
 
@@ -166,22 +175,22 @@ class GridModel(nn.Module):
         bones = len(self.skeleton)
         for person in sorted({pose.person for pose in poses if pose.person >= 0}):
             mine = [index for index, pose in enumerate(poses) if pose.person == person]
-            transforms = np.stack([poses[index].figure.transforms[:bones] for index in mine]).astype(np.float32)
-            codes = torch.as_tensor(np.stack([poses[index].code for index in mine]), dtype=torch.float32)
-            blended = self.volume(person).blend(torch.from_numpy(transforms), codes if offset else None)
+            transforms = self.real(np.stack([poses[index].figure.transforms[:bones] for index in mine]))
+            codes = self.real(np.stack([poses[index].code for index in mine]))
+            blended = self.volume(person).blend(transforms, codes if offset else None)
             for index, matrix in zip(mine, blended, strict=True):
                 rows[index] = matrix
         lengths = [0 if row is None else len(row) for row in rows]
         present = [row for row in rows if row is not None]
-        matrices = torch.cat(present) if present else torch.zeros(1, 16)
+        matrices = torch.cat(present) if present else self.real(np.zeros((1, 16)))
         return matrices, self._index(poses, np.concatenate([[0], np.cumsum(lengths)])[:-1])
 
     def rendering_matrices(self, pose: PosedFigure, offset: bool = True) -> Tensor:
         """Blended matrices of one pose [M, 16] without gradients, from weights that are kept; see ``blend_padded``."""
         if pose.person < 0:
-            return torch.zeros(1, 16)
-        codes = torch.as_tensor(pose.code[None], dtype=torch.float32) if offset else None
-        transforms = torch.from_numpy(pose.figure.transforms[: len(self.skeleton)].astype(np.float32))
+            return self.real(np.zeros((1, 16)))
+        codes = self.real(pose.code[None]) if offset else None
+        transforms = self.real(pose.figure.transforms[: len(self.skeleton)])
         return self.volume(pose.person).blend_padded(transforms, codes)
 
     def root_light(self, poses: Sequence[PosedFigure]) -> Tensor:
@@ -232,8 +241,8 @@ class GridModel(nn.Module):
         """Forward skinning of canonical points [K, 3] of the pose's person into root space, float32."""
         if matrices is None:
             with torch.no_grad():
-                matrices = self.matrices([pose])[0].numpy()
-        grid = self.grid(pose.person)
+                matrices = self.matrices([pose])[0].cpu().numpy()
+        grid, matrices = self.grid(pose.person), np.asarray(matrices, dtype=np.float32)
         out = np.empty((len(points), 3), dtype=np.float32)
         skinning.forward(
             np.ascontiguousarray(points, dtype=np.float32), matrices, grid.nodes, grid.dims,

@@ -55,7 +55,9 @@ def load_actor(path: Path, device: str = "cpu") -> Actor:
         if header.field == "grid":
             from chona_model.grid_actor import GridActor
 
-            return GridActor.rebuild(header.skeleton, persons, objects, header.object_distance, header.shape, tensors)
+            return GridActor.rebuild(
+                header.skeleton, persons, objects, header.object_distance, header.shape, tensors, device
+            )
         if header.field == "exact":
             from chona_model.exact_actor import ExactActor
 

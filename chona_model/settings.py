@@ -21,6 +21,8 @@ class InverseSettings:
         tolerance: residual at which a root counts as found, as a share of the figure's size.
         divergence: residual beyond which a start is given up, as a share of the figure's size.
         background: whether Newton also starts from the posed point itself, the background bone's inverse.
+        predict: spacing of the grid that leads starts to their roots before the perceptron is asked, metres (see
+            ``deform.predict``); 0 follows every start through the perceptron alone.
     """
 
     starts: int = 5
@@ -28,6 +30,7 @@ class InverseSettings:
     tolerance: float = 1e-5
     divergence: float = 2.0
     background: bool = True
+    predict: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class ExactSettings:
             unrotated, as TAVA does (kept to be measured).
         offset: whether the pose-conditioned offset F_Δ is applied.
         shading: whether the pose-dependent ambient occlusion is applied.
+        bounded: whether samples out of reach of every bone and object are empty, as what bounds the rays has it.
     """
 
     samples: int = 64
@@ -47,6 +51,11 @@ class ExactSettings:
     covariance: str = "warped"
     offset: bool = True
     shading: bool = True
+    bounded: bool = False
+
+
+PREDICTED = 0.05
+"""Spacing of the grid that leads starts wherever speed counts, metres."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +83,22 @@ class RenderSettings:
     offset: bool = True
     shading: bool = True
     resolution: float = 1.0
-    exact: ExactSettings = ExactSettings()
+    exact: ExactSettings = ExactSettings(bounded=True, inverse=InverseSettings(predict=PREDICTED))
 
 
 RENDER_PRESETS = {
     "draft": RenderSettings(
         "draft", step=0.016, newton_steps=2, stop=0.05, offset=False, resolution=0.5,
-        exact=ExactSettings(samples=24, inverse=InverseSettings(starts=1, steps=8, tolerance=1e-4)),
+        exact=ExactSettings(24, InverseSettings(1, 8, tolerance=1e-4, predict=PREDICTED), bounded=True),
     ),
     "preview": RenderSettings(
         "preview", step=0.012, newton_steps=3, stop=0.02,
-        exact=ExactSettings(samples=32, inverse=InverseSettings(starts=2, steps=12, tolerance=1e-4)),
+        exact=ExactSettings(32, InverseSettings(2, 12, tolerance=1e-4, predict=PREDICTED), bounded=True),
     ),
     "final": RenderSettings("final", step=0.008, newton_steps=4, stop=0.003, supersampling=2),
     "exact": RenderSettings(
-        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False
+        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False,
+        exact=ExactSettings(bounded=True),
     ),
 }  # fmt: skip
 """Presets by name, in order of quality."""

@@ -18,6 +18,7 @@ FLOORS = (
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
     ("model_store",),
     ("grid_actor", "exact_actor", "formats"),
+    ("grid_device",),
     ("grid_view", "grid_trace"),
     ("grid_inputs", "render.tracing"),
     ("grid_model", "exact"),

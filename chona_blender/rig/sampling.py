@@ -1,7 +1,8 @@
-"""Poses and cameras over a frame range, from the evaluated depsgraph of a temporary scene.
+"""Poses and cameras, over a frame range or as they are now.
 
-Only rig, objects and cameras are linked to it (what they depend on is evaluated with them), so a heavy scene costs
-nothing, constraints, IK and drivers count, and the user's frame, selection and un-keyed edits stay as they are.
+A range is read from the evaluated depsgraph of a temporary scene. Only rig, objects and cameras are linked to it (what
+they depend on is evaluated with them), so a heavy scene costs nothing, constraints, IK and drivers count, and the
+user's frame, selection and un-keyed edits stay as they are.
 """
 
 from __future__ import annotations
@@ -12,12 +13,10 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from bpy.types import Object, Scene
+from bpy.types import Depsgraph, Object, Scene
 
 from ..camera import CameraSample, ImageFormat, sample_camera, scene_camera
 from ..errors import ChonaError
-from .rest_pose import RestPose
-from .validation import STRETCH_LIMIT, Dropped, figure_scale, project_rotations
 
 Progress = Callable[[int, int, str], None]
 """Called with frames done, frames in all, and what is being done; may raise to stop."""
@@ -38,23 +37,6 @@ class Samples:
     world_from_armature: np.ndarray
     world_from_object: np.ndarray
     cameras: tuple[tuple[CameraSample, ...], ...]
-
-
-@dataclass(frozen=True)
-class RigidPose:
-    """Rigid frames as in docs/conventions.md, in metres of the *figure*: Blender's world divided by ``scale``.
-
-    Attributes:
-        world_from_bone: [F, B, 4, 4].
-        world_from_object: [F, N, 4, 4].
-        scale: the figure's uniform scale; 1 for a figure of natural size.
-        dropped: scale and shear that was dropped, a bone or object each, the worst first.
-    """
-
-    world_from_bone: np.ndarray
-    world_from_object: np.ndarray
-    scale: float
-    dropped: tuple[Dropped, ...]
 
 
 def frame_list(frames: Iterable[int]) -> np.ndarray:
@@ -146,90 +128,76 @@ def sample(
     if image is not None:
         chosen = [tuple(cameras) if cameras is not None else (scene_camera(scene, int(n)),) for n in numbers]
     linked = [*objects, *(each for row in chosen for each in row)] + ([armature] if armature else [])
+    rows: list[tuple[CameraSample, ...]] = []
+    subject = _subject(armature, bones, objects)
     posed = np.empty((len(numbers), len(bones), 4, 4))
     placed = np.empty((len(numbers), len(objects), 4, 4))
-    rows: list[tuple[CameraSample, ...]] = []
-    rest = np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64) if armature else None
-    bone_from_rest = np.linalg.inv(rest) if rest is not None and len(rest) else np.empty((0, 4, 4))
     with evaluation_scene(scene, linked) as temporary:
         for index, number in enumerate(numbers):
             temporary.frame_set(int(number))
             depsgraph = temporary.view_layers[0].depsgraph
-            if armature is not None:
-                evaluated = armature.evaluated_get(depsgraph)
-                pose = evaluated.pose.bones
-                world = np.array(evaluated.matrix_world, dtype=np.float64)
-                local = np.array([pose[name].matrix for name in bones], dtype=np.float64).reshape(-1, 4, 4)
-                posed[index] = world @ local @ bone_from_rest
-            for slot, each in enumerate(objects):
-                placed[index, slot] = np.array(each.evaluated_get(depsgraph).matrix_world)
+            posed[index], placed[index] = subject.read(depsgraph)
             rows.append(tuple(sample_camera(each, depsgraph, image) for each in chosen[index]) if image else ())
             if progress is not None:
                 progress(index + 1, len(numbers), f"sampled frame {number}")
     return Samples(numbers, posed, placed, tuple(rows))
 
 
-def rigid_pose(
-    samples: Samples,
-    rest: RestPose | None,
-    names: Sequence[str],
-    object_names: Sequence[str],
-    *,
-    limit: float | None = STRETCH_LIMIT,
-    object_limit: float | None = STRETCH_LIMIT,
-) -> RigidPose:
-    """Rigid bone and object frames of sampled matrices.
-
-    The canonical frame of a bone is a pure translation to its rest joint, so ``world_from_bone`` takes the rotation of
-    ``world_from_armature`` after the rest pose's axes, and its position is where the bone's head is.
+def sample_now(
+    scene: Scene,
+    depsgraph: Depsgraph,
+    armature: Object | None,
+    bones: Sequence[str],
+    objects: Sequence[Object],
+    image: ImageFormat,
+) -> Samples:
+    """One frame as the scene shows it: edits without a key count, and nothing is evaluated or changed.
 
     Args:
-        rest: of the armature the bones were sampled from; None without an armature.
-        names, object_names: for messages; the model's bone names and objects.
-        limit, object_limit: largest stretch that is dropped; None drops any.
+        depsgraph: evaluated, of a view layer of ``scene``.
+        armature, bones, objects, image: see ``sample``; the camera is the scene's.
 
     Raises:
-        ChonaError: not finite, zero scale, mirrored, or stretched past the limit, by name and frame.
+        ChonaError: see ``sample``; also what the view layer does not evaluate, because it is hidden or excluded.
     """
-    frames = samples.frames
-    empty = np.empty((len(frames), 0, 4, 4))
-    linear = samples.world_from_object[..., :3, :3]
-    dropped: list[Dropped] = []
-    if rest is not None and rest.bones:
-        bones = samples.world_from_armature[..., :3, :3] @ (rest.rotation * rest.scale)
-        scale = figure_scale(bones) if np.isfinite(bones).all() else 1.0
-        rotations, dropped = project_rotations(
-            bones, scale if scale > 0 else 1.0, "Bone", names=names, frames=frames, limit=limit
-        )
-        heads = np.einsum("fbij,bj->fbi", samples.world_from_armature[..., :3, :3], rest.heads)
-        world_from_bone = _homogeneous(rotations, (heads + samples.world_from_armature[..., :3, 3]) / scale)
-    else:
-        scale = figure_scale(linear) if np.isfinite(linear).all() else 1.0
-        scale = scale if scale > 0 and object_limit is not None else 1.0
-        world_from_bone = empty
-    rotations, more = project_rotations(linear, scale, "Object", names=object_names, frames=frames, limit=object_limit)
-    world_from_object = _homogeneous(rotations, samples.world_from_object[..., :3, 3] / scale)
-    for name, array in (("bone", world_from_bone), ("object", world_from_object)):
-        if not np.isfinite(array).all():
-            raise ChonaError(f"The position of a {name} is not finite. Check constraints and drivers")
-    return RigidPose(world_from_bone, world_from_object, scale, (*dropped, *more))
+    if armature is not None or bones:
+        armature = check_armature(armature)
+    if scene.camera is None:
+        raise ChonaError(f"Scene '{scene.name}' has no camera. Add one and make it the scene's active camera")
+    for each in (*objects, *([armature] if armature else []), scene.camera):
+        if not each.evaluated_get(depsgraph).is_evaluated:
+            raise ChonaError(f"'{each.name}' is not in the view layer or disabled in viewports. Show it again")
+    posed, placed = _subject(armature, bones, objects).read(depsgraph)
+    number = np.array([scene.frame_current], dtype=np.int64)
+    return Samples(number, posed[None], placed[None], ((sample_camera(scene.camera, depsgraph, image),),))
 
 
-def rescale_camera(sample: CameraSample, scale: float) -> CameraSample:
-    """The same view of a world that is divided by ``scale``."""
-    matrix, intrinsics = sample.world_from_camera.copy(), sample.intrinsics.copy()
-    matrix[:3, 3] /= scale
-    if sample.kind == "ORTHO":
-        intrinsics[[0, 1], [0, 1]] *= scale
-    return CameraSample(intrinsics, matrix, sample.clip / scale, sample.kind)
+@dataclass(frozen=True)
+class _Subject:
+    """What is read in each frame; ``bone_from_rest`` [B, 4, 4] undoes the rest matrices of ``bones``."""
+
+    armature: Object | None
+    bones: Sequence[str]
+    bone_from_rest: np.ndarray
+    objects: Sequence[Object]
+
+    def read(self, depsgraph: Depsgraph) -> tuple[np.ndarray, np.ndarray]:
+        """``world_from_armature`` [B, 4, 4] and ``world_from_object`` [N, 4, 4], copied out of Blender."""
+        posed = np.empty((0, 4, 4))
+        if self.armature is not None:
+            evaluated = self.armature.evaluated_get(depsgraph)
+            pose = evaluated.pose.bones
+            world = np.array(evaluated.matrix_world, dtype=np.float64)
+            local = np.array([pose[name].matrix for name in self.bones], dtype=np.float64).reshape(-1, 4, 4)
+            posed = world @ local @ self.bone_from_rest
+        placed = [np.array(each.evaluated_get(depsgraph).matrix_world, dtype=np.float64) for each in self.objects]
+        return posed, np.array(placed).reshape(-1, 4, 4)
 
 
-def _homogeneous(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    matrices = np.zeros((*positions.shape[:-1], 4, 4))
-    matrices[..., :3, :3] = rotations
-    matrices[..., :3, 3] = positions
-    matrices[..., 3, 3] = 1.0
-    return matrices
+def _subject(armature: Object | None, bones: Sequence[str], objects: Sequence[Object]) -> _Subject:
+    rest = np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64) if armature else None
+    bone_from_rest = np.linalg.inv(rest) if rest is not None and len(rest) else np.empty((0, 4, 4))
+    return _Subject(armature, bones, bone_from_rest, objects)
 
 
 def stored_overrides(armature: Object) -> Mapping[str, str]:

@@ -50,6 +50,7 @@ class Roots:
         converged: [M, K] bool, residual within tolerance.
         distinct: [M, K] bool, converged and not within ``MERGE_RADIUS`` of an earlier one.
         iterations: [M, K] int64 evaluations spent.
+        empty: [M] bool, known without a root: everything that could be there is out of reach.
     """
 
     points: Tensor
@@ -58,39 +59,26 @@ class Roots:
     converged: Tensor
     distinct: Tensor
     iterations: Tensor
+    empty: Tensor
 
     @property
     def found(self) -> Tensor:
-        """[M] bool: at least one root converged."""
-        return self.converged.any(dim=-1)
+        """[M] bool: at least one root converged, or none is needed."""
+        return self.converged.any(dim=-1) | self.empty
 
 
 @torch.no_grad()
-def bone_starts(
-    targets: Tensor,
-    poses: PoseBatch,
-    index: Tensor,
-    *,
-    count: int,
-    object_boxes: Tensor,
-    background: bool = True,
-    size: float = 1.0,
-) -> tuple[Tensor, Tensor]:
-    """Starts T_j⁻¹ x_p from the nearest bones in posed space, and x_p itself for the background.
+def bone_distances(targets: Tensor, poses: PoseBatch, index: Tensor, object_boxes: Tensor) -> tuple[Tensor, Tensor]:
+    """Where every bone says a posed point comes from, and how far that is from the bone.
 
     Rigid maps keep lengths, so the distance to a posed bone is that of T_j⁻¹ x_p to its canonical segment (an object's:
     to its canonical box).
 
     Args:
-        targets: [M, 3] root space.
-        index: [M] pose of each target.
-        count: K nearest bones.
-        object_boxes: [P, N, 2, 3] lower and upper corners in canonical space.
-        size: of the figure, metres; starts that coincide within a share of it are followed once.
+        targets: [M, 3] root space; index: [M] pose of each; object_boxes: [P, N, 2, 3] corners in canonical space.
 
     Returns:
-        starts [M, K', 3] and usable [M, K'] bool, K' = min(K, J) + background; unusable are starts of absent bones
-        and repeated ones.
+        T_j⁻¹ x_p [M, J, 3] and distances [M, J], metres; infinite for absent bones.
     """
     rotation, offset = poses.transforms[..., :3, :3], poses.transforms[..., :3, 3]
     heads, tails, present = poses.heads, poses.tails, poses.present
@@ -108,7 +96,34 @@ def bone_starts(
         ],
         dim=-1,
     )
-    distance = torch.where(present, distance, torch.inf)
+    return local, torch.where(present, distance, torch.inf)
+
+
+@torch.no_grad()
+def bone_starts(
+    targets: Tensor,
+    poses: PoseBatch,
+    index: Tensor,
+    *,
+    count: int,
+    object_boxes: Tensor,
+    background: bool = True,
+    size: float = 1.0,
+) -> tuple[Tensor, Tensor]:
+    """Starts T_j⁻¹ x_p from the nearest bones in posed space, and x_p itself for the background.
+
+    Args:
+        targets: [M, 3] root space.
+        index: [M] pose of each target.
+        count: K nearest bones.
+        object_boxes: [P, N, 2, 3] lower and upper corners in canonical space.
+        size: of the figure, metres; starts that coincide within a share of it are followed once.
+
+    Returns:
+        starts [M, K', 3] and usable [M, K'] bool, K' = min(K, J) + background; unusable are starts of absent bones
+        and repeated ones.
+    """
+    local, distance = bone_distances(targets, poses, index, object_boxes)
     nearest = torch.topk(distance, min(count, distance.shape[1]), dim=-1, largest=False, sorted=True)
     starts = torch.gather(local, 1, nearest.indices[..., None].expand(-1, -1, 3))
     usable = torch.isfinite(nearest.values)
@@ -127,6 +142,7 @@ def first_of_equals(points: Tensor, usable: Tensor, radius: float) -> Tensor:
     return first
 
 
+@torch.no_grad()
 def find_roots(
     warp: Warp,
     targets: Tensor,
@@ -150,41 +166,49 @@ def find_roots(
     Returns:
         Roots; a target or start that is not finite never converges.
     """
-    per_target = starts.shape[1]
+    count, per_target = starts.shape[:2]
     if rows_at_once is None:
         rows_at_once = CPU_ROWS if starts.device.type == "cpu" else GPU_ROWS
-    at_once = max(rows_at_once // max(per_target, 1), 1)
-    blocks = []
-    for first in range(0, max(len(targets), 1), at_once):
-        block = slice(first, first + at_once)
-
-        def shifted(x: Tensor, rows: Tensor, first: int = first) -> tuple[Tensor, Tensor]:
-            return warp(x, rows + first)
-
-        blocks.append(_find_block(shifted, targets[block], starts[block], usable[block], size=size, settings=settings))
-    return Roots(*(torch.cat([getattr(part, name) for part in blocks]) for name in Roots.__dataclass_fields__))
-
-
-@torch.no_grad()
-def _find_block(
-    warp: Warp, targets: Tensor, starts: Tensor, usable: Tensor, *, size: float, settings: InverseSettings
-) -> Roots:
-    count, per_target = starts.shape[:2]
-    tolerance, limit = settings.tolerance * size, STEP_LIMIT * size
     best = starts.reshape(-1, 3).clone()
     jacobians = torch.eye(3, dtype=best.dtype, device=best.device).repeat(len(best), 1, 1)
     residuals = best.new_full((len(best),), torch.inf)
     iterations = torch.zeros(len(best), dtype=torch.int64, device=best.device)
-    rows = usable.reshape(-1).nonzero()[:, 0]
-    trial = best[rows]
+    for rows in usable.reshape(-1).nonzero()[:, 0].split(rows_at_once):
+        target_rows = torch.div(rows, per_target, rounding_mode="floor")
+        found = _follow(warp, targets, target_rows, best[rows], size=size, settings=settings)
+        best[rows], jacobians[rows], residuals[rows], iterations[rows] = found
+    shape = (count, per_target)
+    points, residuals = best.view(*shape, 3), residuals.view(shape)
+    converged = residuals <= settings.tolerance * size
+    return Roots(
+        points=points,
+        jacobians=jacobians.view(*shape, 3, 3),
+        residuals=residuals,
+        converged=converged,
+        distinct=first_of_equals(points, converged, MERGE_RADIUS * size),
+        iterations=iterations.view(shape),
+        empty=torch.zeros_like(usable[:, 0]),
+    )
+
+
+def _follow(
+    warp: Warp, targets: Tensor, target_rows: Tensor, starts: Tensor, *, size: float, settings: InverseSettings
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Newton from one start [A, 3] a row: best points, Jacobians and residuals there, evaluations spent."""
+    tolerance, limit = settings.tolerance * size, STEP_LIMIT * size
+    best = starts.clone()
+    jacobians = torch.eye(3, dtype=best.dtype, device=best.device).repeat(len(best), 1, 1)
+    residuals = best.new_full((len(best),), torch.inf)
+    iterations = torch.zeros(len(best), dtype=torch.int64, device=best.device)
+    rows, trial = torch.arange(len(best), device=best.device), best
     step = torch.zeros_like(trial)
     share = torch.ones_like(trial[:, 0])
     for number in range(settings.steps + 1):
         if len(rows) == 0:
             break
-        target_rows = torch.div(rows, per_target, rounding_mode="floor")
-        posed, jacobian = warp(trial, target_rows)
-        error = posed - targets[target_rows]
+        own = target_rows[rows]
+        posed, jacobian = warp(trial, own)
+        error = posed - targets[own]
         length = torch.linalg.vector_norm(error, dim=-1)
         iterations[rows] += 1
         # Comparisons with NaN are False: a trial that is not finite is never accepted.
@@ -203,14 +227,4 @@ def _find_block(
         keep = fine & ~(residuals[rows] <= tolerance) & (share >= SMALLEST_SHARE)
         rows, step, share = rows[keep], step[keep], share[keep]
         trial = best[rows] + share[:, None] * step
-    shape = (count, per_target)
-    points, residuals = best.view(*shape, 3), residuals.view(shape)
-    converged = residuals <= tolerance
-    return Roots(
-        points=points,
-        jacobians=jacobians.view(*shape, 3, 3),
-        residuals=residuals,
-        converged=converged,
-        distinct=first_of_equals(points, converged, MERGE_RADIUS * size),
-        iterations=iterations.view(shape),
-    )
+    return best, jacobians, residuals, iterations

@@ -137,6 +137,12 @@ def write_shot(path: Path, shot: Shot) -> None:
     Raises:
         OSError: the disk is full or the folder cannot be written to.
     """
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        write_shot_to(file, shot)
+
+
+def write_shot_to(stream: BinaryIO, shot: Shot) -> None:
+    """Writes a shot's bytes to an open stream."""
     header = _Header(
         format=FORMAT,
         version=VERSION,
@@ -159,8 +165,7 @@ def write_shot(path: Path, shot: Shot) -> None:
     for index, actor in enumerate(shot.actors):
         arrays[f"actor.{index}.world_from_bone"] = actor.world_from_bone
         arrays[f"actor.{index}.world_from_object"] = actor.world_from_object
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
 def read_shot(source: Path | BinaryIO) -> Shot:

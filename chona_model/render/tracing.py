@@ -1,4 +1,8 @@
-"""Rays through a grid model: march, invert, prune, evaluate, integrate."""
+"""Rays through a grid model in stages, each over all rays at once: march, invert, prune, evaluate, integrate.
+
+Plain tensors on any device, in any floating type, differentiable: what a GPU runs, and what ``grid_view`` and
+``grid_trace``, which do the same ray by ray in the processor's cache, are compared with.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,15 @@ import torch
 from torch import Tensor
 
 from chona_model.grid_model import GridModel, PosedFigure
-from chona_model.kernels import reference
-from chona_model.kernels.cpu import march as kernel
+from chona_model.kernels import marching, reference
 from chona_model.kernels.volume import integrate
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex, invert
 from chona_model.render.normals import surface_normals
 from chona_model.render.occupancy import Occupancy
 from chona_model.render.posed import POSED_CELL, PosedPart
+
+APART = 0.01
+"""Roots of one sample nearer than this are one, metres."""
 
 
 @dataclass(frozen=True)
@@ -40,43 +46,84 @@ class TraceSettings:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """Poses concatenated for the marching kernel; rays name them by index."""
+    """P poses as the stages take them, on one device; rays name them by index.
 
-    occupancy: Occupancy
-    normals: np.ndarray
-    poses: tuple[PosedFigure, ...]
+    Attributes:
+        parts: posed cells of each pose, on the host.
+        grids, slots, occupancy: start grids, objects and occupancy of all parts.
+        centres: [V, 3] canonical points that ``grids`` point to; persons: [P] int32 part of each pose's person or −1.
+        normals: [cells, 3] of all parts.
+    """
+
     parts: tuple[PosedPart, ...]
-    starts: np.ndarray
-    first: np.ndarray
-    dims: np.ndarray
-    origins: np.ndarray
-    centres: np.ndarray
-    slot_part: np.ndarray
-    slot_matrix: np.ndarray
+    grids: marching.StartGrids[Tensor]
+    slots: marching.Slots[Tensor]
+    occupancy: marching.Occupancy[Tensor]
+    centres: Tensor
+    persons: Tensor
+    normals: Tensor
 
 
-def make_pose_table(model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None) -> PoseTable:
-    """Builds posed start grids from an occupancy as it is now; the model's own where none is given."""
+def make_pose_table(
+    model: GridModel, poses: Sequence[PosedFigure], occupancy: Occupancy | None = None,
+    normals: np.ndarray | None = None, parts: Sequence[PosedPart] | None = None,
+) -> PoseTable:  # fmt: skip
+    """Poses on the model's device, in its floating type.
+
+    Args:
+        occupancy: which cells to sample; the model's own where none is given.
+        normals, parts: where they are known already.
+    """
     occupancy = occupancy or model.occupancy
-    cells = model.cells(occupancy)
-    parts = [model.pose_cells(pose, cells) for pose in poses]
+    if parts is None:
+        cells = model.cells(occupancy)
+        parts = [model.pose_cells(pose, cells) for pose in poses]
     voxels = np.concatenate([[0], np.cumsum([len(part.centres) for part in parts])])
     starts = np.concatenate(
         [np.where(part.starts >= 0, part.starts + voxels[index], -1) for index, part in enumerate(parts)]
     )
     slot_part = np.full((len(poses), model.shape.object_slots), -1, dtype=np.int32)
     for index, pose in enumerate(poses):
-        for slot, thing in enumerate(pose.objects):
-            slot_part[index, slot] = len(model.persons) + thing
+        slot_part[index, : len(pose.objects)] = [len(model.persons) + thing for thing in pose.objects]
+    slots = np.stack([pose.slots for pose in poses]).reshape(len(poses), model.shape.object_slots, 3, 4)
+    like = model.field.lower
+
+    def real(array: np.ndarray) -> Tensor:
+        return torch.as_tensor(array, dtype=like.dtype, device=like.device)
+
+    def whole(array: np.ndarray) -> Tensor:
+        return torch.as_tensor(array, device=like.device)
+
+    first = np.concatenate([[0], np.cumsum([len(part.starts) for part in parts])])[:-1]
     return PoseTable(
-        occupancy, surface_normals(model.occupancy), tuple(poses), tuple(parts), starts.astype(np.int32),
-        np.concatenate([[0], np.cumsum([len(part.starts) for part in parts])]),
-        np.stack([part.dims for part in parts]),
-        np.stack([part.origin for part in parts]).astype(np.float32),
-        np.concatenate([part.centres for part in parts]),
-        slot_part,
-        np.stack([pose.slots for pose in poses]).reshape(len(poses), model.shape.object_slots, 3, 4),
+        tuple(parts),
+        marching.StartGrids(
+            whole(starts.astype(np.int32)), whole(first), whole(np.stack([part.dims for part in parts])),
+            real(np.stack([part.origin for part in parts])), 1 / POSED_CELL,
+        ),
+        marching.Slots(whole(slot_part), real(slots)),
+        marching.Occupancy(
+            real(occupancy.densities), whole(occupancy.first[:-1]), whole(occupancy.dims), real(occupancy.origins),
+            1 / occupancy.cell,
+        ),
+        real(np.concatenate([part.centres for part in parts])),
+        whole(np.array([pose.person for pose in poses], dtype=np.int32)),
+        real(surface_normals(model.occupancy) if normals is None else normals),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RayRows:
+    """R rays: origins and directions [R, 3] in root space, near and far depths [R], jitter [R] in 0…1, pose [R] int32
+    in the table, pair [R, N] int64 rows of the identity pairs, a column a slot (the person takes the first)."""
+
+    origins: Tensor
+    directions: Tensor
+    near: Tensor
+    far: Tensor
+    jitter: Tensor
+    pose: Tensor
+    pair: Tensor
 
 
 @dataclass(frozen=True)
@@ -85,116 +132,72 @@ class Traced:
 
     Attributes:
         out: [R, 6] premultiplied rgb, alpha, Σ w·depth, Σ w over objects.
-        weights: [M] of the evaluated candidates; ray: [M] their rays.
         failed: [R] body candidates whose root finding failed; tried: [R] all body candidates.
-        evaluated: M.
+        evaluated: how often the field was.
     """
 
     out: Tensor
-    weights: Tensor
-    ray: Tensor
-    failed: np.ndarray
-    tried: np.ndarray
+    failed: Tensor
+    tried: Tensor
     evaluated: int
 
 
 def trace(
-    model: GridModel, table: PoseTable, matrices: Tensor, index: VolumeIndex, local_pose: np.ndarray,
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], pose: np.ndarray, jitter: np.ndarray,
-    pairs: Tensor, ray_pair: Tensor, codes: Tensor | None, lights: Tensor, settings: TraceSettings,
+    model: GridModel, table: PoseTable, matrices: Tensor, index: VolumeIndex, rays: RayRows, pairs: Tensor,
+    codes: Tensor | None, lights: Tensor, settings: TraceSettings,
 ) -> Traced:  # fmt: skip
-    """Traces rays; differentiable in the field and in the matrices.
+    """Traces rays; differentiable in the field, the matrices and the lights.
 
     Args:
-        table: poses that ``pose`` [R] int32 indexes; local_pose: [len(table)] int32 index of each in ``matrices``.
-        matrices, index: from ``GridModel.matrices`` for the poses in use.
-        rays: origins [R, 3], directions [R, 3], near [R], far [R], float32, root space.
-        jitter: [R] float32 in 0…1.
-        pairs: [Q, 2] identity pairs; ray_pair: [R] int64.
-        codes: [P, C] pose codes by local pose, or None; lights: [P, 9, 3] (see ``GridModel.root_light``).
+        matrices, index: from ``GridModel.matrices`` for the table's poses.
+        pairs: [Q, 2] identity pairs; codes: [P, C] pose codes, or None for no occlusion.
+        lights: [P, 9, 3] (see ``GridModel.root_light``).
     """
-    origins, directions, near, far = rays
-    occupancy = table.occupancy
-    cells = (
-        occupancy.densities,
-        occupancy.first[:-1],
-        occupancy.dims,
-        occupancy.origins,
-        np.float32(1 / occupancy.cell),
-    )
-    grids = (table.starts, table.first[:-1], table.dims, table.origins, np.float32(1 / POSED_CELL))
-    first = np.zeros(len(origins) + 1, dtype=np.int64)
-    none = np.zeros(0, dtype=np.int32)
-    nothing = (none, np.zeros(0, dtype=np.float32), none, none, np.zeros((0, 3), dtype=np.float32))
-    head = (origins, directions, near, far, jitter, pose, np.float32(settings.step), *grids, table.slot_part,
-            table.slot_matrix, *cells, first)  # fmt: skip
-    kernel.march(False, *head, *nothing)
-    np.cumsum(first, out=first)
-    count = int(first[-1])
-    ray, kind, voxel = (np.empty(count, dtype=np.int32) for _ in range(3))
-    depth, points = np.empty(count, dtype=np.float32), np.empty((count, 3), dtype=np.float32)
-    kernel.march(True, *head, ray, depth, kind, voxel, points)
-
-    body = np.flatnonzero(kind < 0)
-    candidate_pose = pose[ray]
-    part = np.empty(count, dtype=np.int32)
-    persons = np.array([figure.person for figure in table.poses], dtype=np.int32)
-    part[body] = persons[candidate_pose[body]]
-    things = np.flatnonzero(kind >= 0)
-    part[things] = table.slot_part[candidate_pose[things], kind[things]]
-    failed = np.zeros(count, dtype=bool)
-    roots = None
+    found: marching.Candidates[Tensor] = marching.march(
+        rays.origins, rays.directions, rays.near, rays.far, rays.jitter, rays.pose, settings.step, table.grids,
+        table.slots, table.occupancy,
+    )  # fmt: skip
+    ray, kind = found.ray.long(), found.kind
+    pose = rays.pose[ray].long()
+    body = (kind < 0).nonzero()[:, 0]
+    part = torch.where(kind < 0, table.persons[pose], table.slots.part[pose, kind.long().clamp(min=0)])
+    points, failed = found.points, torch.zeros(len(kind), dtype=torch.bool, device=kind.device)
     if len(body):
         roots, residuals = invert(
-            matrices, torch.from_numpy(points[body]), torch.from_numpy(table.centres[voxel[body]]),
-            torch.from_numpy(local_pose[candidate_pose[body]]), index, settings.newton,
-        )  # fmt: skip
-        failed[body] = residuals.numpy() > settings.accept
-        points[body] = roots.detach().numpy()
-    keep = np.empty(count, dtype=bool)
-    kernel.prune(
-        first, depth, points, part, failed, np.float32(settings.step), np.float32(settings.trust),
-        np.float32(settings.stop), np.float32(0.01), *cells, keep,
+            matrices, points[body], table.centres[found.voxel[body].long()], pose[body].int(), index, settings.newton
+        )
+        points = points.index_put((body,), roots)
+        failed = failed.index_put((body,), residuals > settings.accept)
+    keep = marching.prune(
+        found.first, found.depth, points.detach(), part, failed, settings.step, settings.trust, settings.stop, APART,
+        table.occupancy,
     )  # fmt: skip
-    chosen = np.flatnonzero(keep)
-    kept_first = np.concatenate([[0], np.cumsum(keep)])[first]
-    local = torch.from_numpy(points[chosen])
-    if roots is not None and roots.requires_grad:
-        where = np.full(count, -1, dtype=np.int64)
-        where[body] = np.arange(len(body))
-        source = where[chosen]
-        on_body = np.flatnonzero(source >= 0)
-        local = local.index_put((torch.from_numpy(on_body),), roots[torch.from_numpy(source[on_body])])
-    ray_kept = ray[chosen]
-    ray_index = torch.from_numpy(ray_kept).long()
-    density, rgb = model.field(
-        local, torch.from_numpy(part[chosen]), pairs, ray_pair[ray_index], codes,
-        torch.from_numpy(local_pose[pose[ray_kept]]).long(),
-    )  # fmt: skip
-    normals = _root_normals(table, matrices.detach(), index, local_pose, part, kind, pose[ray], points, chosen)
-    rgb = rgb * reference.gains(normals, lights[torch.from_numpy(local_pose[pose[ray_kept]]).long()])
-    out, weights = integrate(
-        density, rgb, torch.from_numpy(kept_first), torch.from_numpy(depth[chosen]),
-        torch.full((len(chosen),), settings.step), torch.from_numpy(kind[chosen] >= 0), settings.stop * 0.1,
-    )  # fmt: skip
-    tried = np.bincount(ray[body], minlength=len(origins))
-    missed = np.bincount(ray[body], weights=failed[body], minlength=len(origins))
-    return Traced(out, weights, ray_index, missed, tried, len(chosen))
+    kept = torch.as_tensor(keep)
+    chosen = kept.nonzero()[:, 0]
+    first = torch.nn.functional.pad(kept.long().cumsum(dim=0), (1, 0))[found.first]
+    points, part, kind, ray, pose = points[chosen], part[chosen], kind[chosen], ray[chosen], pose[chosen]
+    density, rgb = model.field(points, part, pairs, rays.pair[ray, kind.long().clamp(min=0)], codes, pose)
+    normals = _root_normals(table, matrices.detach(), index, points.detach(), part, kind, pose)
+    rgb = rgb * reference.gains(normals, lights[pose])
+    depth = found.depth[chosen]
+    out, _ = integrate(
+        density, rgb, first, depth, torch.full_like(depth, settings.step), kind >= 0, settings.stop * 0.1
+    )
+    count = len(rays.near)
+    body_ray = found.ray[body].long()
+    tried = torch.bincount(body_ray, minlength=count)
+    return Traced(out, torch.bincount(body_ray[failed[body]], minlength=count), tried, len(chosen))
 
 
 def _root_normals(
-    table: PoseTable, matrices: Tensor, index: VolumeIndex, local_pose: np.ndarray, part: np.ndarray, kind: np.ndarray,
-    pose: np.ndarray, points: np.ndarray, chosen: np.ndarray,
-) -> Tensor:  # fmt: skip
-    """Root-space normals [M, 3] of the chosen candidates: turned with the blended matrix, or with their object."""
-    occupancy = table.occupancy
-    local, parts, kinds, poses = (torch.from_numpy(array[chosen]) for array in (points, part, kind, pose))
-    first, dims, origins = (torch.from_numpy(array) for array in (occupancy.first, occupancy.dims, occupancy.origins))
+    table: PoseTable, matrices: Tensor, index: VolumeIndex, points: Tensor, part: Tensor, kind: Tensor, pose: Tensor
+) -> Tensor:
+    """Root-space normals [M, 3] of candidates: turned with the blended matrix, or with their object."""
+    grids = table.occupancy
     normals = reference.normals_at(
-        local, parts, torch.from_numpy(table.normals), first, dims, origins, 1.0 / occupancy.cell
+        points, part, table.normals, grids.first, grids.dims, grids.origins, grids.inverse_cell
     )
-    turned = torch.from_numpy(table.slot_matrix)[poses.long(), kinds.long().clamp(min=0), :, :3].transpose(-1, -2)
-    body = kinds < 0
-    own = torch.from_numpy(local_pose)[poses[body].long()]
-    turned[body] = reference.blended_rotations(matrices, local[body], own, index)
-    return (turned @ normals[..., None])[..., 0]
+    turned = table.slots.matrix[pose, kind.long().clamp(min=0), :, :3].transpose(-1, -2)
+    body = (kind < 0).nonzero()[:, 0]
+    rotations = reference.blended_rotations(matrices, points[body], pose[body], index)
+    return (turned.index_put((body,), rotations) @ normals[..., None])[..., 0]

@@ -17,7 +17,7 @@ from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import draw_invariant_codes, step_generator
 from chona_model.figure import Figure, PoseBatch, object_places
 from chona_model.render.bounds import figure_spans
-from chona_model.settings import ExactSettings
+from chona_model.settings import PREDICTED, ExactSettings, InverseSettings
 from chona_model.train.errors import TrainingError
 from chona_model.train.objects import object_distance
 from chona_model.train.pixels import PoseViews, group_by_pose
@@ -49,7 +49,7 @@ class PaperSettings:
     last_rate: float = 5e-6
     weight_loss: float = 1.0
     offset_loss: float = 0.1
-    exact: ExactSettings = ExactSettings()
+    exact: ExactSettings = ExactSettings(bounded=True, inverse=InverseSettings(predict=PREDICTED))
     chunk: int = 256
     initial_steps: int = 400
 

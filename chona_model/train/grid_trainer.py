@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -13,72 +13,24 @@ from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
-from chona_model.grid_inputs import occupied_cells, parts_of, starts_of, surfaces_of
+from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
-from chona_model.grid_trace import PoseRays, trace_rays
 from chona_model.kernels.cpu.adam import adam_rows
-from chona_model.kernels.cpu.sample import GivenRays
-from chona_model.kernels.grid import FEATURES
+from chona_model.kernels.grid import FEATURES, fast
 from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
-from chona_model.render.tracing import TraceSettings
+from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
 from chona_model.train.errors import TrainingError
+from chona_model.train.fast_settings import FastSettings
 from chona_model.train.hull import carve_hull
 from chona_model.train.objects import object_distance
 from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
 
 
-@dataclass(frozen=True)
-class FastSettings:
-    """Settings of preset ``fast``.
-
-    Attributes:
-        rays, poses: rays a step, spread over this many poses.
-        grid_rate, mlp_rate, light_rate, skin_rate, offset_rate: Adam's initial rates; all fall to ``last_rate`` times
-            that.
-        weight_loss, offset_loss: the paper's λ and β.
-        skin_from: share of the schedule before which skinning keeps its initial weights; skin_every: steps between
-            gradients through the root finder.
-        refine_given_weights: whether weights that came from a body model are learned further; those guessed from bones
-            always are.
-        part_loss: weight of the share of a ray that lands on the person where the masks say object, and the reverse.
-            What is always held would otherwise be learned as a part of the hand.
-        random_background: composite prediction and target over one random colour a ray, so that dark clothes are
-            told from an empty background; black otherwise, as in the paper.
-        cull_from, cull_until, cull_every: steps between which occupancy follows the density, and how often.  It must
-            end: every refresh cuts a little off the soft outside of surfaces, learned anew inside the cut.
-        rebuild: steps after which posed grids and pixel pools are made anew.
-        trace: shortcuts of ray tracing at first; fine_trace: those from the share ``fine_from`` of the schedule on.
-    """
-
-    rays: int = 2048
-    poses: int = 4
-    grid_rate: float = 3e-2
-    mlp_rate: float = 3e-3
-    light_rate: float = 1e-2
-    skin_rate: float = 2e-4
-    offset_rate: float = 1e-5
-    last_rate: float = 0.03
-    weight_loss: float = 1.0
-    offset_loss: float = 0.1
-    skin_from: float = 0.25
-    skin_every: int = 4
-    refine_given_weights: bool = True
-    part_loss: float = 0.3
-    random_background: bool = True
-    cull_from: int = 128
-    cull_until: int = 1024
-    cull_every: int = 64
-    rebuild: tuple[int, ...] = (256, 512, 1024)
-    trace: TraceSettings = TraceSettings(step=0.015, stop=3e-2)
-    fine_trace: TraceSettings = TraceSettings(step=0.01, stop=1e-2)
-    fine_from: float = 0.5
-
-
 def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
     """[R] squared opacity that lies on the wrong part; ``part`` is 0 (neither), 1 (person) or 2 (object)."""
     thing = out[:, 5]
-    wrong = torch.where(part == 1, thing, torch.where(part == 2, out[:, 3] - thing, torch.zeros(())))
+    wrong = torch.where(part == 1, thing, torch.where(part == 2, out[:, 3] - thing, 0.0))
     return wrong**2
 
 
@@ -101,6 +53,7 @@ class GridTrainer:
         seed: of everything random, together with the step.
         image_scale: size of the images used.
         method: ``chona``, or ``no-cil`` to leave compositional invariant learning out.
+        device, dtype: float32 on the CPU is for the fused kernels; anything else takes the stages of tensors.
 
     Raises:
         DatasetError: no views, or nothing of them inside the masks' visual hull.
@@ -108,7 +61,7 @@ class GridTrainer:
 
     def __init__(
         self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0, method: str = "chona",
-        shape: GridModelShape | None = None,
+        shape: GridModelShape | None = None, device: str = "cpu", dtype: torch.dtype = torch.float32,
     ) -> None:  # fmt: skip
         if not dataset.views:
             raise DatasetError("there is not one view to train on; check the folder and --sequences with check-data")
@@ -128,6 +81,8 @@ class GridTrainer:
                 f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check "
                 "cameras, poses and masks with 'chona check-data'"
             )
+        self.model.to(device=device, dtype=dtype)
+        self.fused = fast(self.model.field.lower)
         self._rebuild()
         self._make_optimisers()
         self.bones = [
@@ -150,18 +105,21 @@ class GridTrainer:
             {"params": logits, "lr": settings.skin_rate},
             {"params": offsets, "lr": settings.offset_rate},
         ]
+        if not self.fused:
+            groups.append({"params": [field.table], "lr": settings.grid_rate})
         self.rates = [float(group["lr"]) for group in groups if group["params"]]  # type: ignore[arg-type]
         self.optimiser = torch.optim.Adam(
             [group for group in groups if group["params"]], betas=BETAS, eps=EPSILON, fused=True
         )
-        self.mean, self.square = (np.zeros(field.table.shape, dtype=np.float32) for _ in range(2))
+        moments = field.table.shape if self.fused else (0,)
+        self.mean, self.square = (np.zeros(moments, dtype=np.float32) for _ in range(2))
 
     def _rebuild(self) -> None:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
         self.built_from = {name: value.detach().clone() for name, value in self.model.volumes.state_dict().items()}
         self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
         cells = self.model.cells(self.model.occupancy)
-        parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
+        self.parts = parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
         self.surfaces, self.starts = surfaces_of(self.model.occupancy), [starts_of(part) for part in parts]
         self.pools = make_pools(parts, self.posed, self.groups)
         self._forget_matrices()
@@ -180,35 +138,32 @@ class GridTrainer:
         Raises:
             TrainingError: the loss is not finite.
         """
-        settings = self.settings
+        settings, real = self.settings, self.model.real
         random = np.random.default_rng([self.seed, index])
         chosen = random.choice(self.usable, min(settings.poses, len(self.usable)), replace=False)
-        batch = [self._draw(pose, settings.rays // len(chosen), random) for pose in chosen]
-        rgb, part, pose = (np.concatenate([row[column] for row in batch]) for column in (4, 5, 6))
-        rays = len(pose)
+        drawn = [self._draw(pose, settings.rays // len(chosen), random) for pose in chosen]
+        rgb, part = (np.concatenate([getattr(rays, name) for rays in drawn]) for name in ("rgb", "part"))
+        pose = np.repeat(chosen, [len(rays) for rays in drawn])
         skinning = self.learns_skinning and share >= settings.skin_from and index % settings.skin_every == 0
-        figures = [self.posed[pose] for pose in chosen]
-        matrices = self._matrices(chosen, skinning)
+        figures = [self.posed[number] for number in chosen]
         pairs, ray_pair = self._identities(pose, part, index)
-        codes = torch.as_tensor(np.stack([figure.code for figure in figures]), dtype=torch.float32)
-        jitter = random.random(rays, dtype=np.float32)
-        ends = np.cumsum([len(row[4]) for row in batch])
-        lights, pose_rays = self.model.root_light(figures), []
-        for place, (number, row, end) in enumerate(zip(chosen, batch, ends, strict=True)):
-            own = slice(end - len(row[4]), end)
-            given = GivenRays(row[0], row[1], row[2], row[3], jitter[own], ray_pair[own], place)
-            light = lights[place].detach().numpy()
-            parts = parts_of(self.model, figures[place], self.model.occupancy, self.surfaces, light)
-            pose_rays.append(PoseRays(figures[place], matrices[place], self.starts[number], parts, given))
+        batch = Batch(
+            figures, [self.parts[number] for number in chosen], [self.starts[number] for number in chosen], drawn,
+            random.random(len(part), dtype=np.float32), ray_pair, pairs,
+            real(np.stack([figure.code for figure in figures])), self.model.root_light(figures),
+        )  # fmt: skip
         tracing = settings.trace if share < settings.fine_from else settings.fine_trace
-        out, _ = trace_rays(self.model, pose_rays, pairs, codes, lights, tracing)
-        background = (
-            np.float32(random.random((rays, 3))) if settings.random_background else np.zeros((rays, 3), np.float32)
-        )
+        if self.fused:
+            out = trace_fused(self.model, batch, self._matrices(chosen, skinning), self.surfaces, tracing)
+        else:
+            out = trace_staged(self.model, batch, skinning, self.surfaces, tracing)
+        background = np.zeros((len(part), 3), np.float32)
+        if settings.random_background:
+            background = random.random((len(part), 3)).astype(np.float32)
         target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
-        predicted = out[:, :3] + (1.0 - out[:, 3:4]) * torch.from_numpy(background)
-        image_loss = ((predicted - torch.from_numpy(target)) ** 2).mean()
-        loss = image_loss + settings.part_loss * _wrong_part(out, torch.from_numpy(part)).mean()
+        predicted = out[:, :3] + (1.0 - out[:, 3:4]) * real(background)
+        image_loss = ((predicted - real(target)) ** 2).mean()
+        loss = image_loss + settings.part_loss * _wrong_part(out, torch.as_tensor(part, device=out.device)).mean()
         if skinning:
             loss = loss + self._regularisers(figures)
         if not torch.isfinite(loss):
@@ -241,15 +196,15 @@ class GridTrainer:
         for index in range(len(self.model.persons)):
             self.model.volume(index).rendering_weights = None
 
-    def _draw(self, pose: int, count: int, random: np.random.Generator) -> tuple[np.ndarray, ...]:
+    def _draw(self, pose: int, count: int, random: np.random.Generator) -> DrawnRays:
         """Rays of one pose from one of its views, jittered inside their pixels."""
         pool: ViewPool = self.pools[pose][random.integers(len(self.pools[pose]))]
         pick = random.integers(len(pool.rows), size=count)
         places = np.stack([pool.columns[pick], pool.rows[pick]], axis=-1) + random.random((count, 2))
         origins, directions = self.posed[pose].figure.rays(pool.camera, places)
-        return (
+        return DrawnRays(
             origins.astype(np.float32), directions.astype(np.float32), pool.near[pick], pool.far[pick], pool.rgb[pick],
-            pool.part[pick], np.full(count, pose, dtype=np.int32),
+            pool.part[pick],
         )  # fmt: skip
 
     def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, np.ndarray]:
@@ -273,15 +228,15 @@ class GridTrainer:
 
     def _regularisers(self, figures: list) -> Tensor:
         """λ L_w + β L_Δ: one-hot weights on the bones, offsets near zero."""
-        total = torch.zeros(())
+        total = self.model.real(np.zeros(()))
         for person in sorted({figure.person for figure in figures if figure.person >= 0}):
             volume = self.model.volume(person)
             nodes, bones = self.bones[person]
             weights = volume.logits[nodes].softmax(dim=1)
-            one_hot = torch.nn.functional.one_hot(bones, weights.shape[1])
+            one_hot = torch.nn.functional.one_hot(bones.to(weights.device), weights.shape[1])
             total = total + self.settings.weight_loss * ((weights - one_hot) ** 2).mean()
             codes = np.stack([figure.code for figure in figures if figure.person == person])
-            offset = volume.offset(torch.as_tensor(codes, dtype=torch.float32))
+            offset = volume.offset(self.model.real(codes))
             if offset is not None:
                 total = total + self.settings.offset_loss * (offset**2).mean()
         return total
@@ -291,6 +246,8 @@ class GridTrainer:
         for group, rate in zip(self.optimiser.param_groups, self.rates, strict=True):
             group["lr"] = rate * decay
         self.optimiser.step()
+        if not self.fused:
+            return
         field = self.model.field
         rows = [array.reshape(-1, FEATURES) for array in (
             field.table.detach().numpy(), field.gradient.buffer.numpy(), self.mean, self.square,
@@ -317,11 +274,11 @@ class GridTrainer:
         points = occupancy.centres(part, cells)
         points += (random.random(points.shape, dtype=np.float32) - np.float32(0.5)) * np.float32(occupancy.cell)
         pair = torch.tensor([[part, -1] if part < len(self.model.persons) else [-1, part - len(self.model.persons)]])
-        pair = self._usual_pair(part, pair)
+        pair = self._usual_pair(part, pair).to(self.model.device)
         density = self.model.field.density(
-            torch.from_numpy(points), torch.full((len(points),), part, dtype=torch.int32), pair,
-            torch.zeros(len(points), dtype=torch.int64),
-        )  # fmt: skip
+            self.model.real(points), torch.full((len(points),), part, dtype=torch.int32, device=pair.device), pair,
+            torch.zeros(len(points), dtype=torch.int64, device=pair.device),
+        ).float().cpu()  # fmt: skip
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
         occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)

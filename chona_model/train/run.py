@@ -64,10 +64,12 @@ def make_trainer(dataset: Dataset, run: TrainRun) -> tuple[Trainer, dict[str, An
     if run.method not in METHODS:
         raise ValueError(f"method '{run.method}' is not in this version; it trains: {', '.join(METHODS)}")
     if run.preset == "fast":
-        from chona_model.train.grid_trainer import FastSettings, GridTrainer
+        from chona_model.train.fast_settings import FastSettings
+        from chona_model.train.grid_trainer import GridTrainer
 
         settings = FastSettings()
-        return GridTrainer(dataset, settings, run.seed, run.image_scale, run.method), asdict(settings)
+        fast = GridTrainer(dataset, settings, run.seed, run.image_scale, run.method, device=run.device)
+        return fast, asdict(settings)
     if run.preset == "paper":
         from chona_model.train.exact_trainer import ExactTrainer, PaperSettings
 

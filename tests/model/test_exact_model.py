@@ -158,7 +158,7 @@ def test_the_densest_of_several_roots_is_shown() -> None:
     identity = model.codes(torch.zeros(1, dtype=torch.int64), torch.zeros(1, 1, dtype=torch.int64))
     with torch.no_grad():
         roots = model.find_canonical(targets, poses, index, ExactSettings())
-        chosen, usable = model._densest(roots, covariances, identity, index, ExactSettings())
+        chosen, usable = model._densest(roots, covariances, identity, index, poses, index, ExactSettings())
         points = roots.points.reshape(-1, 3)
         density = model.field.density(points, torch.zeros_like(points), identity).view(400, -1)
     inside = (roots.points >= torch.tensor(SHAPE.lower)) & (roots.points <= torch.tensor(SHAPE.upper))

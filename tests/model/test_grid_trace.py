@@ -16,7 +16,7 @@ from chona_model.kernels.cpu.sample import GivenRays
 from chona_model.kernels.threads import in_pieces
 from chona_model.kernels.warp import NewtonLimits
 from chona_model.render.posed import depth_spans
-from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.render.tracing import RayRows, TraceSettings, make_pose_table, trace
 
 SETTINGS = TraceSettings(step=0.02, newton=NewtonLimits(steps=12, tolerance=1e-6), trust=0.0, stop=0.0)
 
@@ -58,6 +58,7 @@ class Case:
         """Results and gradients by parameter's name."""
         self.model.zero_grad()
         self.model.field.gradient.buffer.zero_()
+        dtype = self.model.field.lower.dtype
         if fused:
             blended = [self.model.matrices([posed])[0] for posed in self.posed]
             lights = self.model.root_light(self.posed)
@@ -67,17 +68,17 @@ class Case:
             ]
             out, _ = trace_rays(self.model, rays, self.pairs, self.codes, lights, settings)
         else:
+            given = [rays.given for rays in self.rays]
             columns = [
-                np.concatenate([getattr(rays.given, name) for rays in self.rays])
-                for name in ("origins", "directions", "near", "far")
+                torch.from_numpy(np.concatenate([getattr(each, name) for each in given])).to(dtype)
+                for name in ("origins", "directions", "near", "far", "jitter")
             ]
-            pose = np.repeat(np.arange(2, dtype=np.int32), 300)
-            pair = torch.from_numpy(np.concatenate([rays.given.pair[:, 0] for rays in self.rays]))
-            jitter = np.concatenate([rays.given.jitter for rays in self.rays])
+            pose = torch.arange(2, dtype=torch.int32).repeat_interleave(300)
+            pair = torch.from_numpy(np.concatenate([each.pair for each in given]))
             matrices, index = self.model.matrices(self.posed)
             out = trace(
-                self.model, self.table, matrices, index, np.arange(2, dtype=np.int32), tuple(columns), pose, jitter,
-                self.pairs, pair, self.codes, self.model.root_light(self.posed), settings,
+                self.model, self.table, matrices, index, RayRows(*columns, pose, pair), self.pairs,
+                self.codes.to(dtype), self.model.root_light(self.posed), settings,
             ).out  # fmt: skip
         (out * self.factors).sum().backward()
         grads = {n: p.grad.clone() for n, p in self.model.named_parameters() if p.grad is not None}

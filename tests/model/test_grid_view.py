@@ -17,7 +17,7 @@ from chona_model.kernels.cpu import newton
 from chona_model.kernels.cpu.jit import entry
 from chona_model.kernels.warp import NewtonLimits, invert
 from chona_model.render.posed import Window, window_of
-from chona_model.render.tracing import TraceSettings, make_pose_table, trace
+from chona_model.render.tracing import RayRows, TraceSettings, make_pose_table, trace
 from chona_model.settings import RENDER_PRESETS
 
 find_root = newton.find_root
@@ -50,15 +50,17 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: 
     near, far = grid_view.depth_spans(table.parts[0], posed.figure, view.camera)
     rows, columns = np.nonzero(far > near)
     places = np.stack([columns, rows], axis=-1) + 0.5
-    origins, directions = (array.astype(np.float32) for array in posed.figure.rays(view.camera, places))
-    count = len(rows)
+    rays = [*posed.figure.rays(view.camera, places), near[rows, columns], far[rows, columns], np.full(len(rows), 0.5)]
+    count, slots = len(rows), len(posed.objects)
     with torch.no_grad():
         matrices, index = model.matrices([posed], settings.offset)
         traced = trace(
-            model, table, matrices, index, np.zeros(1, np.int32),
-            (origins, directions, near[rows, columns], far[rows, columns]), np.zeros(count, np.int32),
-            np.full(count, 0.5, np.float32), torch.tensor([[posed.person, posed.objects[0]]]),
-            torch.zeros(count, dtype=torch.int64),
+            model, table, matrices, index,
+            RayRows(
+                *(torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32) for array in rays),
+                torch.zeros(count, dtype=torch.int32), torch.arange(slots).expand(count, -1),
+            ),
+            torch.tensor([[posed.person, thing] for thing in posed.objects]),
             torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None,
             model.root_light([posed]),
             TraceSettings(step=settings.step, newton=NewtonLimits(12, tolerance=1e-6), trust=0.0, stop=0.0),

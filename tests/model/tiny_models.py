@@ -15,7 +15,8 @@ from chona_model.data.dataset import Dataset
 from chona_model.field.grid import GridShape
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.render.tracing import TraceSettings
-from chona_model.train.grid_trainer import FastSettings, GridTrainer
+from chona_model.train.fast_settings import FastSettings
+from chona_model.train.grid_trainer import GridTrainer
 
 SHAPE = GridModelShape(
     field=GridShape(levels=4, coarsest=0.12, finest=0.02, rows=12), node_cell=0.06, occupancy_cell=0.03

@@ -91,10 +91,10 @@ class _Volume:
     """What every one of M points needs to interpolate in its pose's volume."""
 
     def __init__(self, index: VolumeIndex, pose: Tensor, dtype: torch.dtype) -> None:
-        def per_point(array: np.ndarray) -> Tensor:
-            return torch.from_numpy(array).to(pose.device)[pose.long()]
+        def per_point(array: np.ndarray | Tensor) -> Tensor:
+            return torch.as_tensor(array, device=pose.device)[pose.long()]
 
-        self.nodes = torch.from_numpy(index.nodes).to(pose.device)
+        self.nodes = torch.as_tensor(index.nodes, device=pose.device)
         self.first_node, self.first_row = per_point(index.first_node), per_point(index.first_row)
         self.dims = per_point(index.dims)
         self.origins = per_point(index.origins).to(dtype)

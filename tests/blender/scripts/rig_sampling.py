@@ -17,7 +17,8 @@ from chona_blender.errors import ChonaError
 from chona_blender.model_header import read_model_header
 from chona_blender.rig.armature import Rig, create_rig
 from chona_blender.rig.rest_pose import model_rest_pose
-from chona_blender.rig.sampling import RigidPose, rigid_pose, sample
+from chona_blender.rig.rigid import RigidPose, rigid_pose
+from chona_blender.rig.sampling import sample
 
 FRAMES = (1, 3, 5)
 PLACE = Matrix.Translation((0.4, -1.1, 0.2)) @ Matrix.Rotation(0.7, 4, "Z")

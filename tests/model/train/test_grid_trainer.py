@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 from tiny_capture import tiny_capture
-from tiny_models import tiny_trainer, trained
+from tiny_models import SETTINGS, SHAPE, tiny_trainer, trained
 
 from chona_model.data.dataset import DatasetError, load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from chona_model.train.grid_trainer import _wrong_part
+from chona_model.train.grid_trainer import GridTrainer, _wrong_part
 
 
 def test_learns_what_the_pictures_show() -> None:
@@ -105,3 +107,39 @@ def test_opacity_on_the_wrong_part_costs() -> None:
     out = torch.tensor([[0, 0, 0, 0.9, 0, 0.3], [0, 0, 0, 0.9, 0, 0.3], [0, 0, 0, 0.9, 0, 0.3]], dtype=torch.float32)
     wrong = _wrong_part(out, torch.tensor([0, 1, 2], dtype=torch.int8))
     torch.testing.assert_close(wrong, torch.tensor([0.0, 0.3**2, 0.6**2]))
+
+
+def test_the_stages_train_as_the_kernels_do(tmp_path: Path) -> None:
+    """What a GPU runs, on the CPU in float64: the same losses step by step while rounding has not told on them yet."""
+    dataset = tiny_capture(tmp_path, frames=3, cameras=4, size=(64, 48))
+    fused, staged = (
+        GridTrainer(dataset, SETTINGS, 0, shape=SHAPE, dtype=dtype) for dtype in (torch.float32, torch.float64)
+    )
+    assert fused.fused
+    assert not staged.fused
+    losses = [[trainer.step(index, index / 60)["loss"] for index in range(60)] for trainer in (fused, staged)]
+    np.testing.assert_allclose(losses[1][:5], losses[0][:5], rtol=0.02)
+    assert np.mean(losses[1][-10:]) < 0.5 * losses[1][0]
+    assert np.mean(losses[1][-10:]) == pytest.approx(np.mean(losses[0][-10:]), rel=0.3)
+
+
+def test_stages_resume_where_they_were(tmp_path: Path) -> None:
+    dataset = tiny_capture(tmp_path, frames=2, cameras=3)
+    whole, first, second = (GridTrainer(dataset, SETTINGS, 0, shape=SHAPE, dtype=torch.float64) for _ in range(3))
+    for index in range(12):
+        loss = whole.step(index, index / 40)["loss"]
+    for index in range(8):
+        first.step(index, index / 40)
+    second.restore(first.state(), 8)
+    for index in range(8, 12):
+        again = second.step(index, index / 40)["loss"]
+    assert again == loss
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no graphics card with CUDA")
+def test_training_on_a_graphics_card(tmp_path: Path) -> None:
+    dataset = tiny_capture(tmp_path, frames=3, cameras=4, size=(64, 48))
+    fused, card = (GridTrainer(dataset, SETTINGS, 0, shape=SHAPE, device=device) for device in ("cpu", "cuda"))
+    losses = [[trainer.step(index, index / 60)["loss"] for index in range(60)] for trainer in (fused, card)]
+    assert np.mean(losses[1][-10:]) == pytest.approx(np.mean(losses[0][-10:]), rel=0.3)

@@ -1,0 +1,1 @@
+"""What CHONA's speed is measured with; `python -m benchmarks --help`."""

@@ -1,0 +1,37 @@
+"""Measures speed and what it costs; writes ``benchmarks/results/*.json`` and plots.
+
+python -m benchmarks frames training --data D --format behave --train A,B --test C --model RUN/model.safetensors
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from chona_model.process import tune
+
+tune()  # before torch is imported
+
+from benchmarks.common import Bench, parser  # noqa: E402
+
+SUBJECTS = ("frames", "growth", "memory", "startup", "training", "exact")
+
+
+def main() -> int:
+    """Runs the chosen subjects, by default all."""
+    options = parser()
+    options.add_argument("subjects", nargs="*", metavar="SUBJECT", help=", ".join(SUBJECTS))
+    chosen = options.parse_args()
+    unknown = sorted(set(chosen.subjects) - set(SUBJECTS))
+    if unknown:
+        options.error(f"'{unknown[0]}' is no subject; there are {', '.join(SUBJECTS)}")
+    bench = Bench(
+        chosen.data, chosen.format, tuple(chosen.train.split(",")), tuple(chosen.test.split(",")), chosen.model,
+        chosen.exact, chosen.tava, chosen.minutes, chosen.runs, chosen.view,
+    )  # fmt: skip
+    for subject in chosen.subjects or SUBJECTS:
+        importlib.import_module(f"benchmarks.{subject}").measure(bench)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

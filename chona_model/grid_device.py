@@ -1,0 +1,102 @@
+"""Views of a grid model on a GPU: the stages of ``render.tracing`` over many rays at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from chona_model.camera import ORTHOGRAPHIC, Camera
+from chona_model.grid_inputs import Surfaces
+from chona_model.grid_model import GridModel, PosedFigure
+from chona_model.grid_view import ACCEPT, LONGEST, TOLERANCE, View
+from chona_model.kernels import marching
+from chona_model.kernels.cpu.advance import COLUMNS
+from chona_model.kernels.warp import NewtonLimits, VolumeIndex
+from chona_model.render.occupancy import Occupancy, PartCells
+from chona_model.render.posed import SPREAD, PosedPart, Window, camera_matrix
+from chona_model.render.tracing import PoseTable, RayRows, TraceSettings, make_pose_table, trace
+from chona_model.settings import RenderSettings
+
+CHUNK = 1 << 18
+"""Rays traced together: a few gigabytes of what lies between the stages."""
+
+
+@dataclass(frozen=True)
+class DevicePose:
+    """Everything of a pose that no camera changes, on the model's device."""
+
+    figure: PosedFigure
+    part: PosedPart
+    table: PoseTable
+    matrices: Tensor
+    index: VolumeIndex
+    pairs: Tensor
+    codes: Tensor | None
+    lights: Tensor
+
+
+@torch.inference_mode()
+def make_device_pose(
+    model: GridModel, posed: PosedFigure, occupancy: Occupancy, surfaces: Surfaces, cells: Sequence[PartCells],
+    offset: bool, shading: bool,
+) -> DevicePose:  # fmt: skip
+    """As ``grid_view.make_ready``."""
+    matrices, index = model.matrices([posed], offset)
+    part = model.pose_cells(posed, cells, matrices.float().cpu().numpy())
+    table = make_pose_table(model, [posed], occupancy, surfaces.normals, [part])
+    pairs = torch.tensor([[posed.person, thing] for thing in posed.objects or (-1,)], device=model.device)
+    codes = model.real(posed.code[None]) if shading else None
+    return DevicePose(posed, part, table, matrices, index, pairs, codes, model.root_light([posed]))
+
+
+@torch.inference_mode()
+def render_on_device(
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window
+) -> View:
+    """As ``grid_view.render_view``."""
+    near, far = _spans(model, ready, camera, window)
+    rows, columns = (far > near).nonzero(as_tuple=True)
+    near, far = near[rows, columns], far[rows, columns]
+    rows, columns = rows + window.top, columns + window.left
+    side, values = settings.supersampling, near.new_zeros(len(near), COLUMNS)
+    newton = NewtonLimits(settings.newton_steps, TOLERANCE, LONGEST)
+    tracing = TraceSettings(settings.step, newton, ACCEPT, trust=0.0, stop=settings.stop)
+    evaluated = 0
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    lens = [model.real(array) for array in ready.figure.figure.rays(camera, corners)]
+    for sub in range(side**2):
+        u, v = (sub % side + 0.5) / side, (sub // side + 0.5) / side
+        for chunk in torch.arange(len(rows), device=rows.device).split(CHUNK):
+            at = torch.stack([columns[chunk] + u, rows[chunk] + v], dim=-1).to(near.dtype)
+            origins, directions = (a[0] + at @ (a[1:] - a[0]) for a in lens)
+            count = len(chunk)
+            rays = RayRows(
+                origins.contiguous(), directions.contiguous(), near[chunk], far[chunk],
+                near.new_full((count,), 0.5), torch.zeros(count, dtype=torch.int32, device=near.device),
+                torch.arange(len(ready.pairs), device=near.device).expand(count, -1),
+            )  # fmt: skip
+            traced = trace(
+                model, ready.table, ready.matrices, ready.index, rays, ready.pairs, ready.codes, ready.lights, tracing
+            )
+            values[chunk, :6] += traced.out / side**2
+            values[chunk, 6] += traced.failed
+            values[chunk, 7] += traced.tried
+            evaluated += traced.evaluated
+    return View(rows.cpu().numpy(), columns.cpu().numpy(), values.float().cpu().numpy(), evaluated)
+
+
+def _spans(model: GridModel, ready: DevicePose, camera: Camera, window: Window) -> tuple[Tensor, Tensor]:
+    """``render.posed.depth_spans`` on the model's device."""
+    size = (max(window.bottom - window.top, 0), max(window.right - window.left, 0))
+    near, far = model.real(np.full(size, np.inf)), model.real(np.zeros(size))
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:2, 2] -= window.left, window.top
+    marching.splat_spans(
+        model.real(ready.part.outline), model.real(camera_matrix(ready.figure.figure, camera)), model.real(intrinsics),
+        camera.kind == ORTHOGRAPHIC, ready.part.reach * SPREAD, near, far,
+    )  # fmt: skip
+    return near, far
