@@ -21,21 +21,8 @@ from .camera import ImageFormat
 TEXT_SIZE = 12.0
 MARGIN = 8.0
 VERTEX = "void main() { at = uv; gl_Position = ModelViewProjectionMatrix * vec4(pos, 0.0, 1.0); }"
-FRAGMENT = """
-vec3 encoded(vec3 c) {
-  return mix(1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, 12.92 * c, vec3(lessThan(c, vec3(0.0031308))));
-}
-vec3 decoded(vec3 c) {
-  return mix(pow((c + 0.055) / 1.055, vec3(2.4)), c / 12.92, vec3(lessThan(c, vec3(0.04045))));
-}
-void main() {
-  vec4 texel = texture(image, at);
-  float alpha = opacity * texel.a;
-  colour = vec4(decoded(alpha * encoded(max(texel.rgb / max(texel.a, 1e-6), vec3(0.0)))), alpha);
-}
-"""
-"""The view's overlay, which this is drawn into, encodes as sRGB what is written and is laid over the scene after that:
-so it must hold sRGB that is multiplied by alpha, or the figure has a rim."""
+FRAGMENT = "void main() { colour = opacity * texture(image, at); }"
+"""Scene-linear as it comes: a view's frame buffer encodes as sRGB what is written, and blends before that."""
 
 
 @dataclass(frozen=True)

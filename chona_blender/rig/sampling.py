@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from bpy.types import Depsgraph, Object, Scene
+from bpy.types import Depsgraph, Object, Scene, ViewLayer
 
 from ..camera import CameraSample, ImageFormat, sample_camera, scene_camera
 from ..errors import ChonaError
@@ -164,12 +164,20 @@ def sample_now(
         armature = check_armature(armature)
     if scene.camera is None:
         raise ChonaError(f"Scene '{scene.name}' has no camera. Add one and make it the scene's active camera")
-    for each in (*objects, *([armature] if armature else []), scene.camera):
-        if not each.evaluated_get(depsgraph).is_evaluated:
-            raise ChonaError(f"'{each.name}' is not in the view layer or disabled in viewports. Show it again")
+    for each in (*objects, *([armature] if armature else [])):
+        if not _is_evaluated(each, depsgraph.view_layer):
+            raise ChonaError(
+                f"'{each.name}' is disabled in viewports, or not in the view layer, and does not move. Enable it there "
+                "(the eye may be shut)"
+            )
     posed, placed = _subject(armature, bones, objects).read(depsgraph)
     number = np.array([scene.frame_current], dtype=np.int64)
     return Samples(number, posed[None], placed[None], ((sample_camera(scene.camera, depsgraph, image),),))
+
+
+def _is_evaluated(each: Object, view_layer: ViewLayer) -> bool:
+    """Whether a view layer keeps an object up to date; one that is hidden by its eye it does."""
+    return each.visible_get(view_layer=view_layer) or (each.hide_get(view_layer=view_layer) and not each.hide_viewport)
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,7 @@ def story() -> Iterator[float]:
 
     if model.stat().st_size > REAL_MODEL:
         yield from bake_for_real()
+        yield from preview_live()
     show_only_closed_panels()
     yield from redraw()
     yield from open_panel("worker")
@@ -162,6 +163,58 @@ def bake_for_real() -> Iterator[float]:
     scene.frame_set(2)
     scene.render.filepath = str(out / "10_composited.png")
     bpy.ops.render.render(write_still=True)
+
+
+def preview_live() -> Iterator[float]:
+    """The live preview in a view through the camera: a picture at rest, one while a bone turns, an error, and off."""
+    scene, preview = bpy.context.scene, module("live").preview
+    scene.render.resolution_percentage = 200
+    view_area().spaces.active.region_3d.view_perspective = "CAMERA"
+    yield from redraw()
+    answer["live"] = list(call("live_preview", "EXEC_DEFAULT"))
+    yield 0.3
+    picture("11_live_loading")
+    yield from until_live("final")
+    yield 0.3
+    picture("12_live_at_rest")
+    bone = scene.chona.armature.pose.bones[min(2, len(scene.chona.armature.pose.bones) - 1)]
+    lines = answer["live lines"] = []
+    for turn in range(10):
+        bone.rotation_euler.y += 0.06
+        for _ in range(40):  # drafts come while the mouse moves
+            yield 0.02
+            if preview.canvas.line.startswith("draft") and preview.canvas.line not in lines:
+                break
+        lines.append(preview.canvas.line)
+        if turn == 5:
+            picture("13_live_moving")
+    yield from until_live("final")
+    lines.append(preview.canvas.line)
+    yield 0.3
+    picture("14_live_posed")
+    scene.chona.live_opacity = 0.6
+    scene.chona.armature.data.pose_position = "REST"
+    for _ in range(100):
+        yield 0.1
+        if preview.error:
+            break
+    yield from redraw()
+    picture("15_live_error")
+    answer["live error"] = preview.error
+    scene.chona.armature.data.pose_position = "POSE"
+    answer["live off"] = list(call("live_preview", "EXEC_DEFAULT"))
+    yield from redraw()
+    picture("16_live_off")
+    answer["live left"] = [preview.is_on, bpy.app.timers.is_registered(module("live")._tick)]
+    scene.render.resolution_percentage = 100
+    view_area().spaces.active.region_3d.view_perspective = "PERSP"
+
+
+def until_live(preset: str, seconds: float = 150.0) -> Iterator[float]:
+    """Wait for the preview's picture of a preset."""
+    end = time.monotonic() + seconds
+    while not module("live").preview.canvas.line.startswith(preset) and time.monotonic() < end:
+        yield 0.05
 
 
 def redraw(times: int = 4) -> Iterator[float]:

@@ -1,0 +1,241 @@
+"""The live preview with a real `chona serve`, ticked by hand. Arguments: model, worker's Python."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+from operation_scene import say
+
+import chona_blender
+from chona_blender import live, live_kept, live_worker
+from chona_blender.shot_file import shot_bytes
+
+model, python = (Path(part) for part in sys.argv[1:3])
+os.environ["CHONA_WORKER_PYTHON"] = str(python)
+PATIENCE = 60.0
+preview = live.preview
+answer: dict = {}
+
+
+def until(condition: Callable[[], object], seconds: float = PATIENCE) -> bool:
+    """Tick as Blender's timer would, until something holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        preview.tick()
+        time.sleep(0.005)
+    return True
+
+
+def picture() -> np.ndarray | None:
+    """What the view would draw."""
+    shown = preview.canvas._picture
+    return None if shown is None else shown.rgba
+
+
+def preset() -> str:
+    """What the line in the view begins with."""
+    return preview.canvas.line.split(" ")[0]
+
+
+def traces() -> list[str]:
+    """What a preview that is on has in Blender and in the system."""
+    names = ("depsgraph_update_post", "frame_change_post", "undo_post", "redo_post", "load_pre")
+    found = [f"{name} {each.__name__}" for name in names for each in getattr(bpy.app.handlers, name)]
+    found = [each for each in found if not each.endswith("_on_blendfile_load_pre")]  # Blender 5.2's own
+    return found + ["timer"] * bpy.app.timers.is_registered(live._tick) + ["drawing"] * preview.canvas.is_on
+
+
+def processes() -> int:
+    """Workers of this process that live."""
+    listed = subprocess.run(["ps", "-o", "stat=,args=", "--ppid", str(os.getpid())], capture_output=True, check=False)
+    return sum("serve" in line and not line.startswith("Z") for line in listed.stdout.decode().splitlines())
+
+
+def settle() -> None:
+    """Let Blender see an edit, as its main loop would."""
+    bpy.context.view_layer.update()
+
+
+def look_through_camera() -> None:
+    """A scene with the rig before the camera, and a view through it."""
+    scene = bpy.context.scene
+    for each in list(bpy.data.objects):
+        if each.type != "CAMERA":
+            bpy.data.objects.remove(each)
+    scene.camera.matrix_world = ((1, 0, 0, 0), (0, 0, -1, -3), (0, 1, 0, 0.2), (0, 0, 0, 1))
+    scene.render.resolution_x, scene.render.resolution_y = 512, 384
+    scene.chona.model_path = str(model)
+    bpy.ops.chona.create_rig()
+    for area in bpy.context.window_manager.windows[0].screen.areas:
+        if area.type == "VIEW_3D":
+            area.spaces.active.region_3d.view_perspective = "CAMERA"
+    settle()
+
+
+def follow_pose() -> None:
+    """From nothing to a final picture, then an edit that has no key, on a channel that has one."""
+    scene = bpy.context.scene
+    chest = scene.chona.armature.pose.bones[1]
+    chest.rotation_mode = "XYZ"
+    chest.keyframe_insert("rotation_euler", frame=1)
+    answer["poll"] = bpy.ops.chona.live_preview.poll()
+    answer["toggled"] = list(bpy.ops.chona.live_preview())
+    preview.tick()
+    answer["while loading"] = preview.canvas.line
+    seen: list[str] = []
+    until(lambda: seen.append(preset()) or preset() == "final")
+    answer["stages"] = [name for name in dict.fromkeys(seen) if name in {"draft", "preview", "final"}]
+    answer["sizes"] = list(picture().shape)
+    first = picture()
+    answer["covered"] = float((first[..., 3] > 0.5).mean())
+
+    number = preview._asked.number
+    scene.frame_end += 1  # says nothing about the picture
+    settle()
+    until(lambda: preview._changed is None)
+    answer["asked for nothing"] = preview._asked.number - number
+
+    chest.rotation_euler.x = 0.8
+    settle()
+    answer["noticed"] = preview._changed is not None
+    began = time.monotonic()
+    until(lambda: preset() == "draft")
+    answer["seconds to a draft"] = time.monotonic() - began
+    until(lambda: preset() == "final")
+    second = picture()
+    if "CHONA_PICTURES" in os.environ:
+        np.savez(Path(os.environ["CHONA_PICTURES"]) / "live.npz", first=first, second=second)
+    answer["change"] = float(np.abs(first[..., 3] - second[..., 3]).max())
+    answer["edit kept"] = round(chest.rotation_euler.x, 6)
+
+
+def newest_wins() -> None:
+    """Ten requests at once: the last is answered, those before need not be."""
+    worker = preview._worker
+    content = shot_bytes(preview._shot)
+    numbers = [worker.ask(content, "draft", 0.5) for _ in range(10)]
+    until(lambda: not worker.busy)
+    answer["newest"] = worker.newest().number - numbers[-1]
+    worker.ask(b"nonsense", "draft", 0.5)
+    until(lambda: worker.error)
+    answer["refused"] = worker.error
+    answer["alive after a refusal"] = worker.alive
+
+
+def worker_dies() -> None:
+    """A crash is told, and the next change of the pose starts another worker."""
+    old = preview._worker
+    os.kill(old._process.pid, signal.SIGKILL)
+    until(lambda: "signal" in preview.error)
+    answer["killed"] = [preview.error, preview.canvas.line, preview.canvas.alert]
+    bpy.context.scene.chona.armature.location.x = 0.1
+    settle()
+    until(lambda: preset() == "draft")
+    answer["restarted"] = [preview.error, preview._worker is not old, processes()]
+
+
+def model_changes() -> None:
+    """Another model file of the same name: another worker, and the old one is gone."""
+    old = preview._worker
+    copy = model.with_name("copy.safetensors")
+    shutil.copy(model, copy)
+    os.utime(copy, ns=(1, 1))
+    copy.replace(model)
+    bpy.context.scene.chona.armature.location.x = 0.0
+    settle()
+    until(lambda: preview._worker is not old and preset() == "draft")
+    answer["model changed"] = [preview._worker is not old, old.alive, processes()]
+
+
+def errors_in_words() -> None:
+    """What cannot be sampled is told and hides the picture; put right, the picture is back."""
+    armature, empty = bpy.context.scene.chona.armature, bpy.context.scene.chona.objects[0].empty
+    told = answer["told"] = {}
+    for name, wrong, right in (
+        ("hidden", lambda: setattr(empty, "hide_viewport", True), lambda: setattr(empty, "hide_viewport", False)),
+        (
+            "rest",
+            lambda: setattr(armature.data, "pose_position", "REST"),
+            lambda: setattr(armature.data, "pose_position", "POSE"),
+        ),
+    ):
+        wrong()
+        settle()
+        until(lambda: preview.error)
+        told[name] = [preview.error, picture() is None]
+        right()
+        settle()
+        until(lambda: picture() is not None)
+        told[name] += [preview.error, picture() is None]
+    bpy.data.objects.remove(armature)
+    settle()
+    until(lambda: preview.error)
+    told["deleted"] = [preview.error, picture() is None]
+    bpy.data.objects.remove(bpy.context.scene.camera)
+    settle()
+    answer["without camera"] = preview.tick()
+
+
+chona_blender.register()
+look_through_camera()
+answer["before"] = traces()
+follow_pose()
+answer["on"] = traces()
+newest_wins()
+worker_dies()
+model_changes()
+errors_in_words()
+
+bpy.ops.wm.read_factory_settings()
+answer["after a file"] = [traces(), processes(), preview.is_on]
+
+look_through_camera()
+most = 0
+live_worker.KEPT_SECONDS = 0.3
+for _ in range(20):
+    bpy.ops.chona.live_preview()
+    preview.tick()
+    most = max(most, processes())
+answer["toggled 20 times"] = [traces(), most, preview.is_on]
+end = time.monotonic() + PATIENCE
+while processes() and time.monotonic() < end:
+    time.sleep(0.1)
+answer["left"] = processes()
+
+live_worker.KEPT_SECONDS = 60.0
+bpy.ops.chona.live_preview()
+until(lambda: picture() is not None)
+first = preview._worker
+bpy.ops.chona.live_preview()
+bpy.ops.chona.live_preview()
+answer["warm"] = [preview._worker is first, first.ready]
+chona_blender.unregister()
+answer["unregistered"] = [traces(), processes()]
+
+# A model that no worker can load: told once, and not tried again with every tick.
+chona_blender.register()
+look_through_camera()
+with model.open("r+b") as file:
+    file.truncate(model.stat().st_size - 100)
+bpy.ops.chona.live_preview()
+until(lambda: preview.error)
+broken = preview._worker
+for turn in range(5):
+    bpy.context.scene.chona.armature.location.x = 0.1 * turn
+    settle()
+    preview.tick()
+answer["broken model"] = [preview.error, preview._worker is broken, processes()]
+chona_blender.unregister()
+answer["forgotten"] = live_kept._Kept.worker is None
+say(answer)
