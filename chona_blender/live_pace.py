@@ -11,17 +11,19 @@ DRAFT_WIDTH = 256
 
 @dataclass(frozen=True)
 class Stage:
-    """How a pose is rendered: ``share`` of the view's camera frame, at a size that takes ``longest`` seconds at most.
+    """How a pose is rendered: once it has rested for ``idle`` seconds, at ``share`` of the view's camera frame, but not
+    larger than takes ``longest`` seconds.
 
     A picture that is being rendered cannot be called back, and for so long a new pose would have to wait.
     """
 
     preset: str
+    idle: float
     share: float
     longest: float
 
 
-STAGES = (Stage("draft", 0.0, 0.2), Stage("preview", 0.5, 0.7), Stage("final", 1.0, 2.0))
+STAGES = (Stage("draft", 0.0, 0.0, 0.2), Stage("preview", 0.3, 0.5, 0.5), Stage("final", 0.8, 1.0, 2.0))
 """The first while something moves, the others once each when it has come to rest."""
 
 DEARER = 4.0

@@ -162,8 +162,14 @@ class Canvas:
         blf.shadow(0, 3, 0.0, 0.0, 0.0, 1.0)
         blf.color(0, *((1.0, 0.5, 0.4, 1.0) if self.alert else (1.0, 1.0, 1.0, 1.0)))
         margin = MARGIN * scale
-        blf.position(0, max(frame.left, 0.0) + margin, max(frame.bottom, 0.0) + margin, 0.0)
+        left, bottom = max(frame.left, 0.0) + margin, max(frame.bottom, 0.0) + margin
+        if self.alert:  # a sentence: it is broken into lines, which go down from the top
+            blf.enable(0, blf.WORD_WRAP)
+            blf.word_wrap(0, max(int(frame.width - 2.0 * margin), 100))
+            bottom = frame.bottom + frame.height - margin - TEXT_SIZE * scale
+        blf.position(0, left, bottom, 0.0)
         blf.draw(0, self.line)
+        blf.disable(0, blf.WORD_WRAP)
         blf.disable(0, blf.SHADOW)
 
 

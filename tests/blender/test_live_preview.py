@@ -34,7 +34,7 @@ def answer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     from chona_model.model_store import save_actor
 
     model: Path = tmp_path_factory.mktemp("live") / "model.safetensors"
-    save_actor(model, GridActor(trained(150)[1].model), "chona", {"preset": "fast"}, {"steps": 1})
+    save_actor(model, GridActor(trained()[1].model), "chona", {"preset": "fast"}, {"steps": 1})
     return run_bpy(request.param, "operation_live.py", model, sys.executable)
 
 
@@ -43,7 +43,7 @@ def test_a_pose_gets_a_draft_and_better_pictures_at_rest(answer: dict) -> None:
     assert answer["toggled"] == ["FINISHED"]
     assert answer["while loading"] == "loading the model"
     assert answer["stages"] == ["draft", "preview", "final"]
-    assert answer["sizes"][1] <= 512
+    assert answer["sizes"] == [72, 96, 4]
     assert 0.01 < answer["covered"] < 0.9
 
 
@@ -83,6 +83,15 @@ def test_what_cannot_be_shown_is_told_in_the_view(answer: dict) -> None:
         assert told[name][1:] == [True, "", False], name
     assert told["deleted"][0].startswith("No armature poses Sub01") and told["deleted"][1]
     assert answer["without camera"] > 0.0
+
+
+def test_pictures_fit_the_frame_and_the_time(answer: dict) -> None:
+    assert answer["cropped"] == [1100.0, 560.0, 200.0, 120.0]
+    draft, preview, final, fast, slow, slowest = answer["scales"]
+    assert (draft, preview, final) == (0.25, 400 / 1024, 800 / 1024)
+    assert fast == preview
+    assert slow == pytest.approx(400 / 1024)  # a quarter of the time: half as wide
+    assert slowest == draft
 
 
 def test_nothing_is_left_behind(answer: dict) -> None:

@@ -13,15 +13,17 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 from operation_scene import say
 
 import chona_blender
-from chona_blender import live, live_kept, live_worker
+from chona_blender import live, live_kept, live_pace, live_view, live_worker
+from chona_blender.camera import ImageFormat
 from chona_blender.shot_file import shot_bytes
 
 model, python = (Path(part) for part in sys.argv[1:3])
 os.environ["CHONA_WORKER_PYTHON"] = str(python)
-PATIENCE = 60.0
+PATIENCE = 90.0
 preview = live.preview
 answer: dict = {}
 
@@ -73,8 +75,8 @@ def look_through_camera() -> None:
     for each in list(bpy.data.objects):
         if each.type != "CAMERA":
             bpy.data.objects.remove(each)
-    scene.camera.matrix_world = ((1, 0, 0, 0), (0, 0, -1, -3), (0, 1, 0, 0.2), (0, 0, 0, 1))
-    scene.render.resolution_x, scene.render.resolution_y = 512, 384
+    scene.camera.matrix_world = Matrix(((1, 0, 0, 0), (0, 0, -1, -3), (0, 1, 0, 0.2), (0, 0, 0, 1)))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 72  # quick even in final quality
     scene.chona.model_path = str(model)
     bpy.ops.chona.create_rig()
     for area in bpy.context.window_manager.windows[0].screen.areas:
@@ -187,7 +189,24 @@ def errors_in_words() -> None:
     answer["without camera"] = preview.tick()
 
 
+def sizes() -> None:
+    """Where a cropped render lies in the camera's frame, and how large pictures are asked for."""
+    whole = ImageFormat(200, 100, 1.0, 1.0, 50, 10, 100, 60)  # 30 rows below it
+    place = live_view.cropped(live_view.Rectangle(1000.0, 500.0, 400.0, 200.0), whole)
+    answer["cropped"] = [place.left, place.bottom, place.width, place.height]
+    image, pace = ImageFormat.plain(1024, 768), live_pace.Pace()
+    scales = [pace.scale(stage, image, 800.0) for stage in range(3)]
+    pace.learn(1, 0.1, 400 * 300)
+    scales.append(pace.scale(1, image, 800.0))
+    pace.learn(2, 8.0, 800 * 600)
+    scales.append(pace.scale(2, image, 800.0))
+    pace.learn(2, 8000.0, 800 * 600)
+    scales.append(pace.scale(2, image, 800.0))
+    answer["scales"] = scales
+
+
 chona_blender.register()
+sizes()
 look_through_camera()
 answer["before"] = traces()
 follow_pose()
