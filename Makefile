@@ -2,13 +2,15 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 DEV = $(PYTHON) scripts/dev.py
 
-.PHONY: env test demo lint extension
+.PHONY: env test demo bench lint extension
 env:            ## .venv with .venv/bin/chona
 	$(DEV) env
 test:           ## lint, types and all tests but slow ones
 	$(DEV) test
 demo:           ## the whole job: capture, train, pose, bake, composite -> demo/out
 	$(DEV) demo
+bench:          ## speed, and what it costs -> benchmarks/results; ARGS='--data D …' for another capture than the demo's
+	$(DEV) bench $(ARGS)
 lint:           ## ruff and mypy
 	$(DEV) lint
 extension:      ## dist/chona-VERSION.zip for Blender

@@ -13,7 +13,7 @@ tune()  # before torch is imported
 
 from benchmarks.common import Bench, parser  # noqa: E402
 
-SUBJECTS = ("frames", "growth", "memory", "startup", "training", "exact")
+SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact")
 
 
 def main() -> int:
@@ -28,6 +28,8 @@ def main() -> int:
         chosen.data, chosen.format, tuple(chosen.train.split(",")), tuple(chosen.test.split(",")), chosen.model,
         chosen.exact, chosen.tava, chosen.minutes, chosen.runs, chosen.view,
     )  # fmt: skip
+    if not bench.data.is_dir():
+        options.error(f"there is no capture {bench.data}; 'make demo' makes one, or name yours with --data")
     for subject in chosen.subjects or SUBJECTS:
         importlib.import_module(f"benchmarks.{subject}").measure(bench)
     return 0

@@ -23,6 +23,9 @@ from chona_model.grid_actor import GridActor
 from chona_model.model_store import load_actor
 
 RESULTS = Path(__file__).resolve().parent / "results"
+DEMO = RESULTS.parents[1] / "demo" / "out" / "capture"
+MODEL = RESULTS / "model.safetensors"
+"""What ``training`` leaves for the other subjects."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,10 @@ class Bench:
 
     def seen(self) -> tuple[GridActor, View]:
         """The trained model and the view it is timed on."""
+        if not self.model.is_file():
+            raise SystemExit(
+                f"there is no model {self.model}; run the subject 'training' first, or name one with --model"
+            )
         actor = load_actor(self.model)
         if not isinstance(actor, GridActor):
             raise SystemExit(f"{self.model} is not a model of preset fast; train one, or name it with --model")
@@ -126,11 +133,13 @@ def _shown(words: Sequence[str]) -> list[str]:
 def parser() -> argparse.ArgumentParser:
     """Options of every benchmark."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    made.add_argument("--data", type=Path, required=True, metavar="DIR", help="a capture")
+    made.add_argument("--data", type=Path, default=DEMO, metavar="DIR", help="a capture (default: the demo's)")
     made.add_argument("--format", default="auto")
-    made.add_argument("--train", required=True, metavar="A,B", help="sequences that the model was trained on")
-    made.add_argument("--test", required=True, metavar="C", help="sequences that training never sees")
-    made.add_argument("--model", type=Path, required=True, metavar="FILE", help="a model of preset fast")
+    made.add_argument(
+        "--train", default="Robin_crate_lift", metavar="A,B", help="sequences that the model was trained on"
+    )
+    made.add_argument("--test", default="Robin_crate_turn", metavar="C", help="sequences that training never sees")
+    made.add_argument("--model", type=Path, default=MODEL, metavar="FILE", help="default: what 'training' left")
     made.add_argument("--exact", type=Path, metavar="FILE", help="a model of preset paper")
     made.add_argument("--tava", type=Path, metavar="DIR", help="a checkout of github.com/facebookresearch/tava")
     made.add_argument("--minutes", type=float, default=1.0, metavar="M", help="of the training that is measured")

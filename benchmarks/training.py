@@ -6,10 +6,11 @@ import time
 
 import numpy as np
 
-from benchmarks.common import Bench, save
+from benchmarks.common import MODEL, Bench, save
 from chona_model.data.dataset import Dataset, load_pixels
 from chona_model.evaluate.metrics import score
 from chona_model.grid_actor import GridActor
+from chona_model.model_store import save_actor
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
@@ -39,6 +40,8 @@ def measure(bench: Bench) -> None:
             spent, step = spent + time.perf_counter() - start, step + 1
         whole, box = _scores(trainer, test)
         rows.append({"seconds": round(spent, 1), "steps": step, "psnr": round(whole, 2), "psnr_box": round(box, 2)})
+    model = GridActor(trainer.model)
+    save_actor(MODEL, model, "chona", {"preset": "fast"}, {"steps": step, "seconds": round(spent, 1)})
     save("training", {"set_up_seconds": round(ready, 2), "schedule_minutes": bench.minutes, "views": VIEWS,
                       "preset": PRESET, "curve": rows})  # fmt: skip
     _plot(rows)
@@ -62,8 +65,6 @@ def _scores(trainer: GridTrainer, dataset: Dataset) -> tuple[float, float]:
 def _plot(rows: list[dict[str, float]]) -> None:
     from benchmarks.plots import line
 
-    curves = {
-        "whole picture": [row["psnr"] for row in rows],
-        "inside the masks' box": [row["psnr_box"] for row in rows],
-    }
+    names = {"psnr": "whole picture", "psnr_box": "inside the masks' box"}
+    curves = {title: [row[name] for row in rows] for name, title in names.items()}
     line("training", [row["seconds"] for row in rows], curves, "seconds of training", "PSNR of unseen views, dB", True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu import advance, newton
-from chona_model.kernels.cpu import render as fused
+from chona_model.kernels.cpu import trace as fused
 from chona_model.render.normals import surface_normals
 from chona_model.render.occupancy import Occupancy
 from chona_model.render.posed import POSED_CELL, PosedPart

@@ -107,8 +107,8 @@ class _Trace(torch.autograd.Function):
         def run(number: int) -> None:
             piece = work.pieces[number]
             each, pose = work.rays[piece.pose], piece.pose
-            piece.found, piece.first, piece.order = cpu.sample(
-                piece.begin, piece.end, each.given, volumes[pose], each.starts, each.parts, work.tables, network,
+            _, piece.found, piece.first, piece.order = cpu.sample(
+                piece.begin, piece.end, True, each.given, volumes[pose], each.starts, each.parts, work.tables, network,
                 work.limits, out[pose],
             )  # fmt: skip
 

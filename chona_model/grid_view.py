@@ -14,14 +14,15 @@ from chona_model.grid_inputs import Surfaces, limits_of, parts_of, starts_of, ta
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu import advance, newton
 from chona_model.kernels.cpu import perceptron as kernels
-from chona_model.kernels.cpu import render as fused
+from chona_model.kernels.cpu import sample as tracing_kernels
+from chona_model.kernels.cpu.sample import GivenRays
 from chona_model.kernels.perceptron import pack
 from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import Occupancy, PartCells
 from chona_model.render.posed import PosedPart, Window, depth_spans
 from chona_model.settings import RenderSettings
 
-cpu: Any = fused
+cpu: Any = tracing_kernels
 
 PIECE = 256
 """Pixels a thread takes at once: some ten milliseconds of work."""
@@ -88,13 +89,25 @@ def render_view(model: GridModel, ready: ReadyPose, camera: Camera, settings: Re
     near, far, rows, columns = near[where], far[where], where[0] + window.top, where[1] + window.left
     origins, directions = ready.figure.figure.rays(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     lens = np.stack([origins[0], directions[0], directions[1] - directions[0], directions[2] - directions[0]])
-    rays = advance.Rays(
-        np.stack([columns, rows], axis=-1).astype(np.int32), near, far,
-        lens.astype(real), (origins[1:] - origins[0]).astype(real), settings.supersampling,
-    )  # fmt: skip
+    pixels, lens = np.stack([columns, rows], axis=-1).astype(np.int32), lens.astype(real)
+    drift, side = (origins[1:] - origins[0]).astype(real), settings.supersampling
     limits = limits_of(settings.step, settings.stop, settings.newton_steps, TOLERANCE, LONGEST, ACCEPT)
-    out = np.zeros((len(rows), advance.COLUMNS), dtype=real)
-    rest = (rays, ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits, out)
-    evaluated = in_pieces(lambda begin, end: cpu.render(begin, end, *rest), len(rows), PIECE)
-    out[:, :6] /= settings.supersampling**2
+    out = np.empty((len(rows), advance.COLUMNS), dtype=real)
+    rest = (ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits)
+    slots = np.arange(max(len(ready.parts.slot_part), 1))
+
+    def look(begin: int, end: int) -> int:
+        count = (end - begin) * side**2
+        origin, direction = np.empty((2, count, 3), real)
+        ray_near, ray_far = np.empty((2, count), real)
+        cpu.aim(begin, pixels, near, far, lens, drift, side, origin, direction, ray_near, ray_far)
+        pair = np.broadcast_to(slots, (count, len(slots))).copy()
+        rays = GivenRays(origin, direction, ray_near, ray_far, np.full(count, 0.5, real), pair, 0)
+        values = np.empty((count, advance.COLUMNS), real)
+        evaluated = cpu.sample(0, count, False, rays, *rest, values)[0]
+        of_pixels = values.reshape(end - begin, side**2, -1)
+        out[begin:end, :6], out[begin:end, 6:] = of_pixels[..., :6].mean(axis=1), of_pixels[..., 6:].sum(axis=1)
+        return evaluated
+
+    evaluated = in_pieces(look, len(rows), PIECE)
     return View(rows, columns, out, sum(evaluated))

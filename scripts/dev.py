@@ -1,4 +1,4 @@
-"""Everything a developer or a first user runs, on any system: ``python scripts/dev.py env|test|demo|lint|extension``.
+"""Everything a developer or a first user runs, on any system: ``python scripts/dev.py env|test|demo|bench|lint|…``.
 
 ``make`` calls the same commands.  Two environments are made beside the sources, since torch and bpy must never meet in
 one process: ``.venv`` (chona_model) and ``.venv-blender`` (Blender as a module).
@@ -85,6 +85,14 @@ def demo(words: list[str]) -> None:
     run(program(ENV, "python"), *command, *words)
 
 
+def bench(words: list[str]) -> None:
+    """Speed, and what it costs: ``benchmarks/results``. Of the demo's capture, or of what ``words`` name."""
+    environment()
+    python = program(ENV, "python")
+    run(python, "-m", "pip", "install", "--quiet", "--constraint", "constraints.txt", "--editable", ".[bench]")
+    run(python, "-m", "benchmarks", *words)
+
+
 def extension() -> None:
     """``dist/chona-VERSION.zip``, to be installed in Blender."""
     run(sys.executable, "scripts/build_extension.py", "--out", "dist")
@@ -93,13 +101,13 @@ def extension() -> None:
 def main() -> None:
     """Reads the command and runs it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("command", choices=("env", "blender-env", "lint", "test", "demo", "extension"))
+    parser.add_argument("command", choices=("env", "blender-env", "lint", "test", "demo", "bench", "extension"))
     arguments, words = parser.parse_known_args()
     actions = {"env": environment, "blender-env": blender_environment, "lint": lint, "extension": extension}
     if arguments.command in actions:
         actions[arguments.command]()
     else:
-        {"test": test, "demo": demo}[arguments.command](words)
+        {"test": test, "demo": demo, "bench": bench}[arguments.command](words)
 
 
 if __name__ == "__main__":

@@ -19,10 +19,10 @@ from chona_model.deform.skinning import ForwardSkinning, blend, softmax_weights
 from chona_model.figure import PoseBatch
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex, invert
 
-LIMITS = NewtonLimits(steps=16, tolerance=2e-4, max_step=0.2)
-"""Of the search in the grid, metres."""
+LIMITS = NewtonLimits(steps=80, tolerance=2e-4, max_step=0.03)
+"""Of the search in the grid, metres: short steps, which cost next to nothing here, get round more corners."""
 
-ARRIVED = 0.02
+ARRIVED = 0.05
 """Residual in the grid up to which a start is led on, metres: the offset, which the grid leaves out, is far smaller."""
 
 MEETING = 1e-3

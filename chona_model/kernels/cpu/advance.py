@@ -28,24 +28,6 @@ PREDICTED = np.float32(0.03)
 """A root is predicted from the ray's last one while the prediction stays this near the cell's own start, metres."""
 
 
-class Rays(NamedTuple):
-    """Pixels of one camera.
-
-    Attributes:
-        pixels: [R, 2] int32 column and row; near, far: [R] float32 depths.
-        lens: [4, 3]: the ray through (u, v) is ``lens[0] + t (lens[1] + u lens[2] + v lens[3])``, root space.
-        drift: [2, 3]: how its origin moves with u and v (orthographic cameras).
-        side: rays a pixel along each axis.
-    """
-
-    pixels: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
-    lens: np.ndarray
-    drift: np.ndarray
-    side: int
-
-
 class Starts(NamedTuple):
     """Posed start grid (see ``posing.mark_starts``), without its empty cells: it must fit a core's cache.
 
@@ -165,22 +147,6 @@ def make_candidates(room, inputs, pose):
         np.zeros(room, np.bool_), np.zeros(room, real), np.zeros((room, 3), real), np.zeros((room, 3), real),
         np.zeros((room, 3), real), np.zeros((room, inputs), real), np.zeros(room, real), np.zeros((room, 3), real),
     )  # fmt: skip
-
-
-@inner
-def aim(rays, parts, step, first, count, block):
-    """Rays ``first`` to ``first + count``, each through its part of a pixel, from their spans' near ends."""
-    half, side = np.float32(0.5), np.float32(rays.side)
-    for r in range(count):
-        pixel, sub = (first + r) // (rays.side * rays.side), (first + r) % (rays.side * rays.side)
-        u = np.float32(rays.pixels[pixel, 0]) + (np.float32(sub % rays.side) + half) / side
-        v = np.float32(rays.pixels[pixel, 1]) + (np.float32(sub // rays.side) + half) / side
-        for k in range(3):
-            block.origin[r, k] = rays.lens[0, k] + u * rays.drift[0, k] + v * rays.drift[1, k]
-            block.direction[r, k] = rays.lens[1, k] + u * rays.lens[2, k] + v * rays.lens[3, k]
-        for slot in range(block.pair.shape[1]):
-            block.pair[r, slot] = slot
-        start_ray(r, rays.near[pixel], rays.far[pixel], half, step, parts, block)
 
 
 @inlined

@@ -1,4 +1,7 @@
-"""``kernels.cpu.render`` for training: rays of one pose, whose samples are kept for the way back."""
+"""Rays of one pose traced to their ends, for pictures and, with their samples kept for the way back, for training.
+
+One entry for both: what it is made of takes most of a minute to compile.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 from chona_model.kernels.cpu.advance import COLUMNS, RAYS, ROOM, Candidates, make_block, make_candidates, start_ray
 from chona_model.kernels.cpu.jit import entry, inner
 from chona_model.kernels.cpu.perceptron import make_activations
-from chona_model.kernels.cpu.render import trace_block
+from chona_model.kernels.cpu.trace import trace_block
 
 
 class GivenRays(NamedTuple):
@@ -29,6 +32,27 @@ class GivenRays(NamedTuple):
     pose: int
 
 
+@entry
+def aim(first, pixels, near, far, lens, drift, side, origins, directions, ray_near, ray_far):
+    """Rays through pixels from ``first`` on, ``side`` along each axis of each, those of a pixel together.
+
+    Args:
+        pixels: [R, 2] int32 column and row; near, far: [R] float32 depths.
+        lens: [4, 3]: the ray through (u, v) is ``lens[0] + t (lens[1] + u lens[2] + v lens[3])``, root space.
+        drift: [2, 3]: how its origin moves with u and v (orthographic cameras).
+        origins, directions: [P · side², 3], ray_near, ray_far: [P · side²], written for P pixels.
+    """
+    half, scale = np.float32(0.5), np.float32(side)
+    for r in range(len(ray_near)):
+        pixel, sub = first + r // (side * side), r % (side * side)
+        u = np.float32(pixels[pixel, 0]) + (np.float32(sub % side) + half) / scale
+        v = np.float32(pixels[pixel, 1]) + (np.float32(sub // side) + half) / scale
+        for k in range(3):
+            origins[r, k] = lens[0, k] + u * drift[0, k] + v * drift[1, k]
+            directions[r, k] = lens[1, k] + u * lens[2, k] + v * lens[3, k]
+        ray_near[r], ray_far[r] = near[pixel], far[pixel]
+
+
 @inner
 def _aim_given(rays, first, count, step, parts, block):
     for r in range(count):
@@ -40,29 +64,33 @@ def _aim_given(rays, first, count, step, parts, block):
 
 
 @entry
-def sample(begin, end, rays, volume, starts, parts, tables, net, limits, out):
-    """Traces the rays ``begin`` to ``end`` and keeps what was evaluated.
+def sample(begin, end, keep, rays, volume, starts, parts, tables, net, limits, out):
+    """Traces the rays ``begin`` to ``end``.
 
     Args:
+        keep: whether what was evaluated is kept.
         out: [R, COLUMNS] written.
 
     Returns:
-        Candidates in the order of evaluation, their ``ray`` counted from ``begin``; first [end − begin + 1] and order
-        [M]: candidates of ray r in order of depth are ``order[first[r]:first[r + 1]]``.
+        How often the field was evaluated. Of what is kept: candidates in the order of evaluation, their ``ray`` counted
+        from ``begin``; first [end − begin + 1] and order [M]: candidates of ray r in order of depth are
+        ``order[first[r]:first[r + 1]]``.
     """
     inputs = net.both.shape[0]
     block, act = make_block(len(parts.slot_part), starts.points.shape[1]), make_activations(net)
-    found, n = make_candidates(16 * RAYS + ROOM, inputs, rays.pose), 0
+    found, n, evaluated = make_candidates(16 * RAYS + ROOM if keep else ROOM, inputs, rays.pose), 0, 0
     for block_begin in range(begin, end, RAYS):
         count, after = min(RAYS, end - block_begin), -1
         while after < 0:
             _aim_given(rays, block_begin, count, limits.step, parts, block)
-            after, _ = trace_block(count, True, n, volume, starts, parts, tables, net, limits, block, found, act)
+            after, more = trace_block(count, keep, n, volume, starts, parts, tables, net, limits, block, found, act)
             if after < 0:
                 found = _with_more_room(found, n)
-        for m in range(n, after):
-            found.ray[m] += block_begin - begin
-        n = after
+        evaluated += more
+        if keep:
+            for m in range(n, after):
+                found.ray[m] += block_begin - begin
+            n = after
         for r in range(count):
             for k in range(COLUMNS):
                 out[block_begin + r, k] = block.result[r, k]
@@ -80,7 +108,7 @@ def sample(begin, end, rays, volume, starts, parts, tables, net, limits, out):
         found.ray[:n], found.part[:n], found.pair[:n], found.pose[:n], found.thing[:n], found.depth[:n],
         found.point[:n], found.normal[:n], found.gain[:n], found.x[:n], found.density[:n], found.rgb[:n],
     )  # fmt: skip
-    return kept, first, order
+    return evaluated, kept, first, order
 
 
 @entry

@@ -13,19 +13,15 @@ import numpy as np
 
 from chona_model.kernels.cpu.advance import (
     AHEAD,
-    COLUMNS,
     RAYS,
     ROOM,
     advance,
-    aim,
-    make_block,
-    make_candidates,
 )  # fmt: skip
 from chona_model.kernels.cpu.encode import encode_level
-from chona_model.kernels.cpu.jit import entry, inner
+from chona_model.kernels.cpu.jit import inner
 from chona_model.kernels.cpu.light import log_gain
 from chona_model.kernels.cpu.newton import RootLimits
-from chona_model.kernels.cpu.perceptron import BLOCK, forward_block, make_activations
+from chona_model.kernels.cpu.perceptron import BLOCK, forward_block
 
 
 class Tables(NamedTuple):
@@ -136,28 +132,3 @@ def trace_block(count, keep, n, volume, starts, parts, tables, net, limits, bloc
                 left += 1
         living = left
     return n, evaluated
-
-
-@entry
-def render(begin, end, rays, volume, starts, parts, tables, net, limits, out):
-    """Renders the pixels ``begin`` to ``end`` of ``rays``.
-
-    Args:
-        rays, volume, starts, parts, tables, net, limits: see their types.
-        out: [R, COLUMNS] sums over a pixel's rays, zero at first.
-
-    Returns:
-        How often the field was evaluated.
-    """
-    block = make_block(len(parts.slot_part), starts.points.shape[1])
-    found, act = make_candidates(ROOM, net.both.shape[0], 0), make_activations(net)
-    a_pixel, evaluated = rays.side * rays.side, 0
-    for first in range(begin * a_pixel, end * a_pixel, RAYS):
-        count = min(RAYS, end * a_pixel - first)
-        aim(rays, parts, limits.step, first, count, block)
-        _, more = trace_block(count, False, 0, volume, starts, parts, tables, net, limits, block, found, act)
-        evaluated += more
-        for r in range(count):
-            for k in range(COLUMNS):
-                out[(first + r) // a_pixel, k] += block.result[r, k]
-    return evaluated
