@@ -93,7 +93,7 @@ class ConditionedMLP(nn.Module):
             change = functional.linear(moving, layer.weight[:, : moving.shape[-1]])
             hidden = functional.relu(before)
             # sign() of what ReLU left is its derivative, and several times faster here than a mask of booleans.
-            moving = change * hidden.sign()
+            moving = change.mul_(hidden.sign())
         if self.output is None:
             return hidden, moving
         return self.output(hidden), functional.linear(moving, self.output.weight)
