@@ -13,7 +13,7 @@ tune()  # before torch is imported
 
 from benchmarks.common import Bench, parser  # noqa: E402
 
-SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact")
+SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact", "distilled")
 
 
 def main() -> int:

@@ -30,7 +30,8 @@ LONGEST_LINE = 1 << 16
 LARGEST_SHOT = 1 << 26
 """Bytes of a request's line and of its shot: more is no request of the add-on's."""
 
-WARM_PRESETS = ("draft", "preview", "final")
+WARM_PRESET = "draft"
+"""All presets go through the same kernels."""
 
 
 class RequestError(ValueError):
@@ -179,5 +180,4 @@ def _warm(actor: Actor) -> None:
     centre = person.rest_joints.mean(axis=0) if person else np.zeros(3)
     intrinsics = np.array([[32.0, 0.0, 16.0], [0.0, 32.0, 16.0], [0.0, 0.0, 1.0]])
     camera = Camera(intrinsics, translation(centre - np.array([0.0, 0.0, 3.0])), 32, 32)
-    for preset in WARM_PRESETS if actor.kind == "grid" else WARM_PRESETS[:1]:
-        actor.render(pose, camera, RENDER_PRESETS[preset])
+    actor.render(pose, camera, RENDER_PRESETS[WARM_PRESET])
