@@ -162,6 +162,13 @@ def make_model(tava: Checkout, shot: Shot) -> nn.Module:
     )
 
 
+def selected(tava: Checkout, shot: Shot) -> np.ndarray:
+    """[R] bool: rays near enough to a bone that TAVA does not drop them."""
+    select = tava.mipnerf_dyn._select_rays_near_to_bones
+    return select(shot.rays, shot.frame["bones_posed"], threshold=DISTANCE)[3].numpy()
+
+
+@torch.no_grad()
 def render(model: nn.Module, tava: Checkout, shot: Shot) -> Tensor:
     """Colours [R, 3] of the finer level, a chunk of rays at a time (``render_image`` of tava/utils/evaluation.py)."""
     model.eval()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -51,19 +51,56 @@ def empty_picture(camera: Camera) -> Picture:
 
 
 def enlarge(picture: Picture, camera: Camera) -> Picture:
-    """A picture rendered at a share of the resolution, interpolated to ``camera``'s; depths of nothing stay so."""
+    """A picture rendered at a share of the resolution, interpolated to ``camera``'s; depths of nothing stay so.
 
-    def resize(channel: np.ndarray, method: Image.Resampling) -> np.ndarray:
-        return np.asarray(Image.fromarray(channel).resize((camera.width, camera.height), method))
+    Only the box that shows anything is interpolated, where the enlargement is by whole numbers.
+    """
+    height, width = picture.alpha.shape
+    source, target = (0, height, 0, width), (0, camera.height, 0, camera.width)
+    if camera.height % height == 0 and camera.width % width == 0:
+        source = _shown(picture.alpha)
+        target = tuple(
+            place * (camera.height // height if number < 2 else camera.width // width)
+            for number, place in enumerate(source)
+        )
+    large = empty_picture(camera)
+    if source[0] < source[1]:
+        _interpolate(picture, large, source, target)
+    return replace(large, rays=picture.rays, failed_share=picture.failed_share)
 
-    linear, nearest = Image.Resampling.BILINEAR, Image.Resampling.NEAREST
-    alpha = resize(picture.alpha, linear)
-    depth = np.where(alpha > 0, resize(picture.depth, nearest), np.float32(EMPTY_DEPTH))
-    return Picture(
-        np.stack([resize(np.ascontiguousarray(picture.rgb[..., k]), linear) for k in range(3)], axis=-1), alpha, depth,
-        resize(picture.human, linear), resize(picture.object, linear), resize(picture.confidence, linear),
-        picture.rays, picture.failed_share,
+
+Box = tuple[int, int, int, int]
+"""Rows from, to; columns from, to."""
+
+REACH = 2
+"""Pixels around what is shown that interpolation touches."""
+
+
+def _shown(alpha: np.ndarray) -> Box:
+    rows, columns = (np.flatnonzero(alpha.any(axis=axis)) for axis in (1, 0))
+    if len(rows) == 0:
+        return 0, 0, 0, 0
+    height, width = alpha.shape
+    return (
+        max(int(rows[0]) - REACH, 0), min(int(rows[-1]) + 1 + REACH, height), max(int(columns[0]) - REACH, 0),
+        min(int(columns[-1]) + 1 + REACH, width),
     )  # fmt: skip
+
+
+def _interpolate(small: Picture, large: Picture, source: Box, target: Box) -> None:
+    """Writes a box of ``small`` to a box of ``large``."""
+    own, size = np.s_[target[0] : target[1], target[2] : target[3]], (target[3] - target[2], target[1] - target[0])
+    cut = np.s_[source[0] : source[1], source[2] : source[3]]
+
+    def resize(channel: np.ndarray, method: Image.Resampling = Image.Resampling.BILINEAR) -> np.ndarray:
+        return np.asarray(Image.fromarray(np.ascontiguousarray(channel[cut])).resize(size, method))
+
+    for name in ("alpha", "human", "object", "confidence"):
+        getattr(large, name)[own] = resize(getattr(small, name))
+    for k in range(3):
+        large.rgb[..., k][own] = resize(small.rgb[..., k])
+    depth = resize(small.depth, Image.Resampling.NEAREST)
+    large.depth[own] = np.where(large.alpha[own] > 0, depth, np.float32(EMPTY_DEPTH))
 
 
 class Actor(Protocol):

@@ -22,7 +22,9 @@ def starts_of(part: PosedPart) -> advance.Starts:
     marked = np.flatnonzero(part.starts[:, 0] >= 0)
     row, starts = np.full(len(part.starts), -1, dtype=np.int32), part.starts[marked]
     row[marked] = np.arange(len(marked), dtype=np.int32)
-    count = (starts >= 0).sum(axis=1, dtype=np.uint8)
+    # Column by column: reductions over two columns are slow.
+    present = [(column >= 0).view(np.uint8) for column in starts.T]
+    count = np.add.reduce(present, dtype=np.uint8)
     points = part.centres[np.maximum(starts, 0)] if len(marked) else np.zeros((1, starts.shape[1], 3), np.float32)
     return advance.Starts(row, count, points, part.dims, part.origin, np.float32(1 / POSED_CELL))
 

@@ -77,8 +77,10 @@ def pose_cells(
     else:
         outline.insert(0, posed[person.shell])
         centres = person.centres
-        origin = (posed.min(axis=0) - reach - POSED_CELL).astype(np.float32)
-        dims = np.ceil((posed.max(axis=0) + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
+        # Column by column: a reduction over [V, 3] takes twenty times as long.
+        lower, upper = (np.array([of(posed[:, axis]) for axis in range(3)]) for of in (np.min, np.max))
+        origin = (lower - reach - POSED_CELL).astype(np.float32)
+        dims = np.ceil((upper + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
         starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, STARTS)
     points = np.concatenate(outline) if outline else np.zeros((0, 3))
     return PosedPart(points.astype(np.float32), centres, starts, dims, origin, reach)
