@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
 from chona_model.field.light import COEFFICIENTS
+from chona_model.kernels.compiled import compiles, fused_field
 from chona_model.kernels.cpu.simd import LANES
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
 from chona_model.kernels.perceptron import FieldWeights, evaluate
@@ -112,9 +113,12 @@ class GridField(nn.Module):
             density [M] 1/m and rgb [M, 3] sRGB in 0…1.
         """
         local = (points - self.lower[part.long()]).clamp(min=0.0)
+        weights = self.weights(self.codes(pairs), pose_codes)
+        if compiles(local):
+            scale = self.shape.density_scale
+            return fused_field(local, part, self.table, self.layout, weights, pair, pose, scale)
         gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
         encoded = encode(local, part, self.table, self.layout, gradient)
-        weights = self.weights(self.codes(pairs), pose_codes)
         return evaluate(encoded, weights, pair, pose, self.shape.density_scale)
 
     def weights(self, codes: Tensor, pose_codes: Tensor | None) -> FieldWeights:

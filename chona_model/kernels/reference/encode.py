@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -27,21 +28,31 @@ def encode(points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout) 
     Returns:
         [M, L · F], in the points' dtype.
     """
-    levels, rows, features = table.shape[1:]
+    return encode_levels(
+        points, identity, table, layout.inverse_cells.tolist(), layout.dims.tolist(), layout.dense.tolist(), layout.rows
+    )
+
+
+def encode_levels(
+    points: Tensor, identity: Tensor, table: Tensor, cells: Sequence[float], dims: Sequence[Sequence[int]],
+    dense: Sequence[bool], rows: int,
+) -> Tensor:  # fmt: skip
+    """``encode`` with the layout in plain numbers, as ``torch.compile`` wants them."""
+    levels, features = table.shape[1], table.shape[3]
     flat = table.reshape(-1, features)
     offsets = corner_offsets(points.device)
     first_row = identity.long() * levels
     columns = []
     for level in range(levels):
-        scaled = points * float(layout.inverse_cells[level])
+        scaled = points * cells[level]
         lower = scaled.detach().long()
-        dims = [int(n) for n in layout.dims[level]]
-        dense = bool(layout.dense[level])
-        if dense:
-            lower = torch.minimum(lower, lower.new_tensor(dims) - 2)
+        if dense[level]:
+            lower = torch.stack([lower[:, axis].clamp(max=dims[level][axis] - 2) for axis in range(3)], dim=1)
         share = scaled - lower
-        weight = torch.where(offsets.bool(), share[:, None], 1.0 - share[:, None]).prod(dim=-1)
-        row = _corner_rows(lower[:, None] + offsets, dims, dense, rows) + ((first_row + level) * rows)[:, None]
+        weight = torch.where(offsets.bool(), share[:, None], 1.0 - share[:, None])
+        weight = weight[..., 0] * weight[..., 1] * weight[..., 2]
+        row = _corner_rows(lower[:, None] + offsets, dims[level], dense[level], rows)
+        row = row + ((first_row + level) * rows)[:, None]
         # Not flat[row]: the gradient of that adds up in whatever order threads arrive.
         columns.append((weight[..., None] * embedding(row, flat)).sum(dim=1))
     return torch.cat(columns, dim=-1)
@@ -53,7 +64,7 @@ def corner_offsets(device: torch.device) -> Tensor:
     return torch.stack([corner & 1, (corner >> 1) & 1, corner >> 2], dim=-1)
 
 
-def _corner_rows(corners: Tensor, dims: list[int], dense: bool, rows: int) -> Tensor:
+def _corner_rows(corners: Tensor, dims: Sequence[int], dense: bool, rows: int) -> Tensor:
     """Rows [M, 8] of grid corners [M, 8, 3] inside their level: the plain index where it is dense, else the hash."""
     x, y, z = corners.unbind(dim=-1)
     if dense:
