@@ -79,7 +79,7 @@ class GridActor:
     def ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose | DevicePose:
         """The pose made ready; the last few are kept, for several cameras and settings."""
         bones = None if pose.world_from_bone is None else pose.world_from_bone.tobytes()
-        shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy)
+        shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy, settings.starts)
         key = (bones, pose.world_from_object.tobytes(), *shown)
         if key not in self._poses:
             while len(self._poses) >= KEPT_POSES:
@@ -87,7 +87,7 @@ class GridActor:
             occupancy, surfaces, cells = self._occupied(settings.occupancy)
             posed = self.model.posed(pose)
             make = make_ready if self.fused else make_device_pose
-            self._poses[key] = make(self.model, posed, occupancy, surfaces, cells, settings.offset, settings.shading)
+            self._poses[key] = make(self.model, posed, occupancy, surfaces, cells, settings)
         return self._poses[key]
 
     def _occupied(self, skip_empty: bool) -> tuple[Occupancy, Surfaces, list[PartCells]]:

@@ -42,14 +42,14 @@ class DevicePose:
 @torch.inference_mode()
 def make_device_pose(
     model: GridModel, posed: PosedFigure, occupancy: Occupancy, surfaces: Surfaces, cells: Sequence[PartCells],
-    offset: bool, shading: bool,
+    settings: RenderSettings,
 ) -> DevicePose:  # fmt: skip
     """As ``grid_view.make_ready``."""
-    matrices, index = model.matrices([posed], offset)
-    part = model.pose_cells(posed, cells, matrices.float().cpu().numpy())
+    matrices, index = model.matrices([posed], settings.offset)
+    part = model.pose_cells(posed, cells, matrices.float().cpu().numpy(), settings.starts)
     table = make_pose_table(model, [posed], occupancy, surfaces.normals, [part])
     pairs = torch.tensor([[posed.person, thing] for thing in posed.objects or (-1,)], device=model.device)
-    codes = model.real(posed.code[None]) if shading else None
+    codes = model.real(posed.code[None]) if settings.shading else None
     return DevicePose(posed, part, table, matrices, index, pairs, codes, model.root_light([posed]))
 
 

@@ -17,7 +17,7 @@ from chona_model.figure import Figure, Rig, make_figure, pose_code_size, pose_co
 from chona_model.kernels.cpu import skinning
 from chona_model.kernels.warp import VolumeIndex
 from chona_model.render.occupancy import Occupancy, PartCells, make_occupancy, part_cells
-from chona_model.render.posed import PosedPart, pose_cells, slot_matrices
+from chona_model.render.posed import STARTS, PosedPart, pose_cells, slot_matrices
 from chona_model.skeleton import Skeleton
 
 BODY_MARGIN = 0.25
@@ -221,12 +221,13 @@ class GridModel(nn.Module):
         return [part_cells(occupancy, part) for part in range(len(occupancy.dims))]
 
     def pose_cells(
-        self, pose: PosedFigure, cells: Sequence[PartCells], matrices: np.ndarray | None = None
+        self, pose: PosedFigure, cells: Sequence[PartCells], matrices: np.ndarray | None = None, chances: int = STARTS
     ) -> PosedPart:
         """Posed start grid and bounding points of one pose.
 
         Args:
             cells: of every part; matrices: [M, 16] blended matrices of the pose, made here where not given.
+            chances: starts kept a posed cell, 1 or 2.
         """
         posed = None
         if pose.person >= 0:
@@ -235,7 +236,8 @@ class GridModel(nn.Module):
             (cells[len(self.persons) + index], pose.slots[slot].astype(np.float64))
             for slot, index in enumerate(pose.objects)
         ]
-        return pose_cells(cells[pose.person] if posed is not None else None, objects, posed, self.occupancy.cell)
+        person = cells[pose.person] if posed is not None else None
+        return pose_cells(person, objects, posed, self.occupancy.cell, chances)
 
     def warp_points(self, pose: PosedFigure, points: np.ndarray, matrices: np.ndarray | None = None) -> np.ndarray:
         """Forward skinning of canonical points [K, 3] of the pose's person into root space, float32."""

@@ -61,22 +61,22 @@ class View:
 
 def make_ready(
     model: GridModel, posed: PosedFigure, occupancy: Occupancy, surfaces: Surfaces, cells: Sequence[PartCells],
-    offset: bool, shading: bool,
+    settings: RenderSettings,
 ) -> ReadyPose:  # fmt: skip
     """Blends the pose's matrices, marks its start grid and packs its conditioned weights.
 
     Args:
         occupancy, surfaces: which cells to sample; cells: of every part.
-        offset, shading: whether F_Δ and the ambient occlusion are applied.
+        settings: of which the offset, the occlusion and the number of starts concern a pose.
     """
     with torch.inference_mode():
-        matrices = model.rendering_matrices(posed, offset).numpy()
+        matrices = model.rendering_matrices(posed, settings.offset).numpy()
         things = posed.objects or (-1,)
         codes = model.field.codes(torch.tensor([[posed.person, thing] for thing in things]))
-        pose_code = torch.as_tensor(posed.code[None], dtype=torch.float32) if shading else None
+        pose_code = torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None
         network = pack(model.field.weights(codes, pose_code))
         light = model.root_light([posed])[0].numpy()
-    part = model.pose_cells(posed, cells, matrices)
+    part = model.pose_cells(posed, cells, matrices, settings.starts)
     volume, parts = volume_of(model, posed, matrices), parts_of(model, posed, occupancy, surfaces, light)
     return ReadyPose(posed, part, volume, starts_of(part), parts, network)
 

@@ -65,7 +65,8 @@ class RenderSettings:
     Attributes:
         preset: the name it goes by.
         step: distance between samples, metres (models on grids).
-        newton_steps: Newton steps at most in the voxel volume.
+        newton_steps: Newton steps at most in the voxel volume; starts: kept a posed cell, 1 or 2: where
+            two body parts meet, the second is the other one's.
         stop: transmittance behind which nothing is evaluated; 0 evaluates everything.
         supersampling: rays a pixel along each axis.
         occupancy: whether empty cells of the occupancy grids are skipped.
@@ -78,6 +79,7 @@ class RenderSettings:
     step: float
     newton_steps: int
     stop: float
+    starts: int = 2
     supersampling: int = 1
     occupancy: bool = True
     offset: bool = True
@@ -88,7 +90,7 @@ class RenderSettings:
 
 RENDER_PRESETS = {
     "draft": RenderSettings(
-        "draft", step=0.016, newton_steps=2, stop=0.05, offset=False, resolution=0.5,
+        "draft", step=0.016, newton_steps=2, stop=0.05, starts=1, offset=False, resolution=0.5,
         exact=ExactSettings(24, InverseSettings(1, 8, tolerance=1e-4, predict=PREDICTED), bounded=True),
     ),
     "preview": RenderSettings(

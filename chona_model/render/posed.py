@@ -31,7 +31,7 @@ class PosedPart:
     Attributes:
         outline: [S, 3] posed centres of the outermost occupied cells, of the person and of all objects.
         centres: [V, 3] canonical centres of the person's occupied cells.
-        starts: [cells, STARTS] int32 into ``centres``; dims [3]; origin [3].
+        starts: [cells, chances] int32 into ``centres``; dims [3]; origin [3].
         reach: radius of a posed cell's influence, metres.
     """
 
@@ -43,8 +43,8 @@ class PosedPart:
     reach: float
 
 
-def _no_starts() -> Any:
-    return np.full((1, STARTS), -1, dtype=np.int32)
+def _no_starts(chances: int) -> Any:
+    return np.full((1, chances), -1, dtype=np.int32)
 
 
 def slot_matrices(figure: Figure, bones: int, canonical_objects: np.ndarray) -> np.ndarray:
@@ -60,20 +60,21 @@ def slot_matrices(figure: Figure, bones: int, canonical_objects: np.ndarray) -> 
 
 
 def pose_cells(
-    person: PartCells | None, objects: Sequence[tuple[PartCells, np.ndarray]], posed: np.ndarray | None, cell: float
-) -> PosedPart:
+    person: PartCells | None, objects: Sequence[tuple[PartCells, np.ndarray]], posed: np.ndarray | None, cell: float,
+    chances: int = STARTS,
+) -> PosedPart:  # fmt: skip
     """Builds a posed start grid.
 
     Args:
         person: occupied cells of the person, or None; posed: [V, 3] where they are in root space, float32.
         objects: occupied cells of each object present, and [3, 4] root space to its frame.
-        cell: of the occupancy, metres.
+        cell: of the occupancy, metres; chances: starts kept a posed cell, 1 or 2.
     """
     reach = 0.9 * cell  # half a cell's diagonal, and some stretch
     outline = [(thing.centres[thing.shell] - matrix[:, 3]) @ matrix[:, :3] for thing, matrix in objects]
     if person is None or posed is None or len(posed) == 0:
         centres, origin = np.zeros((0, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
-        dims, starts = np.ones(3, dtype=np.int64), _no_starts()
+        dims, starts = np.ones(3, dtype=np.int64), _no_starts(chances)
     else:
         outline.insert(0, posed[person.shell])
         centres = person.centres
@@ -81,7 +82,7 @@ def pose_cells(
         lower, upper = (np.array([of(posed[:, axis]) for axis in range(3)]) for of in (np.min, np.max))
         origin = (lower - reach - POSED_CELL).astype(np.float32)
         dims = np.ceil((upper + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
-        starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, STARTS)
+        starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, chances)
     points = np.concatenate(outline) if outline else np.zeros((0, 3))
     return PosedPart(points.astype(np.float32), centres, starts, dims, origin, reach)
 

@@ -35,6 +35,7 @@ BOUNDS = {
     "stop": ({"stop": 0.003}, 50.0),
     "occupancy": ({"occupancy": True}, 30.0),
     "newton_steps": ({"newton_steps": 4}, 50.0),
+    "starts": ({"starts": 1}, 45.0),
     "supersampling": ({"supersampling": 2}, 30.0),
 }
 """Each shortcut's change to the exact settings and the least PSNR against them, dB."""
