@@ -62,8 +62,10 @@ def test_a_served_frame_is_the_baked_one(scene) -> None:
     }  # fmt: skip
     pixels = np.frombuffer(content, "<f4").reshape(frame["height"], frame["width"], 5)
     expected = render_frame(load_actor(model), read_shot(io.BytesIO(shot)), 0, RENDER_PRESETS["final"])
-    np.testing.assert_array_equal(pixels[..., :4], expected.combined)
-    np.testing.assert_array_equal(pixels[..., 4], expected.depth)
+    # Not bit for bit: torch's products round by the number of threads, which tests set to one.
+    np.testing.assert_allclose(pixels[..., :4], expected.combined, rtol=0, atol=1e-5)
+    solid = expected.combined[..., 3] > 0.01
+    np.testing.assert_allclose(pixels[..., 4][solid], expected.depth[solid], rtol=1e-5)
     assert pixels[..., 3].max() > 0.9
 
 
