@@ -21,10 +21,11 @@ from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import IdentityCodes
 from chona_model.field.radiance import FieldSample, RadianceField
 from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, pose_code_size
-from chona_model.geometry import box_distances, inverse_3x3, safe_divide, segment_distances
+from chona_model.geometry import box_distances, inverse_3x3, segment_distances
 from chona_model.render.bounds import BODY_REACH, OBJECT_MARGIN
 from chona_model.render.frustum import conical_frusta, cylinders
-from chona_model.render.integration import EMPTY_DEPTH, integrate, ray_weights, visible_confidence
+from chona_model.render.integration import integrate, ray_weights, visible_confidence
+from chona_model.render.rays import empty_result, finite, join, take_rays
 from chona_model.render.sampling import stratified_edges
 from chona_model.settings import ExactSettings
 
@@ -187,7 +188,7 @@ class ExactModel(nn.Module):
                 )
                 for rows in ([whole] if self.training else whole.split(chunk))
             ]
-            result = _join(parts)
+            result = join(parts)
             if self.training:
                 result = replace(result, regularisers=self.regularisers(poses, generator))
         return result
@@ -206,11 +207,11 @@ class ExactModel(nn.Module):
         settings: ExactSettings,
         orthographic: bool,
     ) -> RayResult:
-        sound = _finite(rays)
+        sound = finite(rays)
         if self.training and not bool(sound.all()):
             raise ValueError(f"{int((~sound).sum())} of {len(sound)} rays hold values that are not finite")
         hit = ((rays.far > rays.near) & sound).nonzero()[:, 0]
-        result = _empty(rays, sound, settings.samples)
+        result = empty_result(rays, sound, settings.samples)
         if len(hit) == 0:
             return result
         part, edges = take_rays(rays, hit), edges[hit]
@@ -318,40 +319,3 @@ def _carry(covariances: Tensor, jacobians: Tensor, settings: ExactSettings) -> T
         return covariances
     inverse = inverse_3x3(jacobians).matrix
     return inverse @ covariances @ inverse.transpose(-1, -2)
-
-
-def take_rays(rays: RayBatch, rows: Tensor) -> RayBatch:
-    """The rays with these indices."""
-    return RayBatch(**{name: getattr(rays, name)[rows] for name in RayBatch.__dataclass_fields__})
-
-
-def _finite(rays: RayBatch) -> Tensor:
-    """[R] bool: every number of the ray is finite."""
-    scalars = torch.isfinite(rays.near) & torch.isfinite(rays.far) & torch.isfinite(rays.radii)
-    return scalars & torch.isfinite(rays.origins).all(dim=-1) & torch.isfinite(rays.directions).all(dim=-1)
-
-
-def _empty(rays: RayBatch, sound: Tensor, samples: int) -> RayResult:
-    """Rays that miss: transparent, at the empty depth, certain; rays that are not sound fail with all their samples.
-
-    ``failed_share`` holds (failed, counted) until chunks are joined.
-    """
-    zero = torch.zeros_like(rays.near)
-    failed = (~sound).sum() * samples
-    return RayResult(
-        rgb=torch.zeros_like(rays.origins),
-        alpha=zero,
-        depth=torch.full_like(zero, EMPTY_DEPTH),
-        human=zero.clone(),
-        object=zero.clone(),
-        confidence=sound.to(zero),
-        failed_share=torch.stack([failed, failed]),
-        regularisers={},
-    )
-
-
-def _join(parts: list[RayResult]) -> RayResult:
-    counts = torch.stack([part.failed_share for part in parts]).sum(dim=0).to(parts[0].alpha)
-    fields = ("rgb", "alpha", "depth", "human", "object", "confidence")
-    joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in fields}
-    return RayResult(**joined, failed_share=safe_divide(counts[0], counts[1]), regularisers={})

@@ -11,12 +11,13 @@ from torch import Tensor
 from chona_model.camera import Camera
 from chona_model.data.dataset import Dataset, DatasetError
 from chona_model.deform.initialise import initialise_from_bones, initialise_from_surface
-from chona_model.exact import ExactModel, take_rays
+from chona_model.exact import ExactModel
 from chona_model.exact_actor import ExactActor, make_rays
 from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import draw_invariant_codes, step_generator
 from chona_model.figure import Figure, PoseBatch, object_places
 from chona_model.render.bounds import figure_spans
+from chona_model.render.rays import take_rays
 from chona_model.settings import PREDICTED, ExactSettings, InverseSettings
 from chona_model.train.errors import TrainingError
 from chona_model.train.objects import object_distance
