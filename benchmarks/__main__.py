@@ -24,10 +24,7 @@ def main() -> int:
     unknown = sorted(set(chosen.subjects) - set(SUBJECTS))
     if unknown:
         options.error(f"'{unknown[0]}' is no subject; there are {', '.join(SUBJECTS)}")
-    bench = Bench(
-        chosen.data, chosen.format, tuple(chosen.train.split(",")), tuple(chosen.test.split(",")), chosen.model,
-        chosen.exact, chosen.tava, chosen.minutes, chosen.runs, chosen.view,
-    )  # fmt: skip
+    bench = Bench.of(chosen)
     if not bench.data.is_dir():
         options.error(f"there is no capture {bench.data}; 'make demo' makes one, or name yours with --data")
     for subject in chosen.subjects or SUBJECTS:

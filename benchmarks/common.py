@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from chona_model.camera import Camera
-from chona_model.data.dataset import Dataset, View
+from chona_model.data.dataset import Dataset, Pose, View
 from chona_model.data.opener import open_dataset
 from chona_model.evaluate.run import machine
 from chona_model.formats.atomic import write_bytes
+from chona_model.formats.shot import Shot, ShotActor
 from chona_model.grid_actor import GridActor
 from chona_model.model_store import load_actor
 
@@ -49,6 +50,14 @@ class Bench:
     minutes: float
     runs: int
     view: int
+
+    @classmethod
+    def of(cls, chosen: argparse.Namespace) -> Bench:
+        """What ``parser``'s options name."""
+        return cls(
+            chosen.data, chosen.format, tuple(chosen.train.split(",")), tuple(chosen.test.split(",")), chosen.model,
+            chosen.exact, chosen.tava, chosen.minutes, chosen.runs, chosen.view,
+        )  # fmt: skip
 
     def dataset(self, sequences: Sequence[str]) -> Dataset:
         """Some sequences of the capture."""
@@ -96,8 +105,6 @@ def ratio(runs: int, one: Callable[[], object], other: Callable[[], object]) -> 
 
 def with_border(camera: Camera, share: float) -> Camera:
     """The same view with an empty border around it: ``share`` more pixels along each axis."""
-    from dataclasses import replace
-
     width, height = round(camera.width * (1 + share)), round(camera.height * (1 + share))
     intrinsics = camera.intrinsics.copy()
     intrinsics[:2, 2] += (width - camera.width) / 2, (height - camera.height) / 2
@@ -106,14 +113,27 @@ def with_border(camera: Camera, share: float) -> Camera:
 
 def filling(camera: Camera, width: int, height: int, zoom: float, centre: np.ndarray) -> Camera:
     """A view of ``width`` x ``height`` pixels from the same place, ``zoom`` times closer on the pixel ``centre``."""
-    from dataclasses import replace
-
     scale = zoom * width / camera.width
     intrinsics = camera.intrinsics.copy()
     intrinsics[0, 0], intrinsics[1, 1] = scale * intrinsics[0, 0], scale * intrinsics[1, 1]
     offset = camera.intrinsics[:2, 2] - centre
     intrinsics[:2, 2] = np.array([width, height]) / 2 + scale * offset
     return replace(camera, intrinsics=intrinsics, width=width, height=height)
+
+
+def held_shot(pose: Pose, camera: Camera, bones: tuple[str, ...], frames: int = 1) -> Shot:
+    """A shot of one pose and camera, held for some frames."""
+
+    def held(array: np.ndarray) -> np.ndarray:
+        return np.stack([array] * frames)
+
+    actor = ShotActor(
+        "actor", pose.person, pose.objects, bones, held(pose.world_from_bone), held(pose.world_from_object)
+    )
+    return Shot(
+        "held", 24.0, camera.width, camera.height, camera.kind, np.arange(frames), held(camera.intrinsics),
+        held(camera.world_from_camera), held(np.array([0.01, 100.0])), (actor,),
+    )  # fmt: skip
 
 
 def save(name: str, rows: dict[str, Any]) -> None:

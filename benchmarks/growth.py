@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.common import Bench, milliseconds, ratio, save, with_border
+from benchmarks.common import Bench, held_shot, milliseconds, ratio, save, with_border
 from chona_model.bake import bake
-from chona_model.data.dataset import Pose
 from chona_model.deform.voxels import SkinningVolume
-from chona_model.formats.shot import Shot, ShotActor, write_shot
+from chona_model.formats.shot import Shot, write_shot
 from chona_model.progress import Progress
 from chona_model.settings import RENDER_PRESETS
 
@@ -44,7 +43,7 @@ def measure(bench: Bench) -> None:
         "covered_pixels": covered, "covered_ms": [round(value, 2) for value in times],
         "objects_0_ms": round(objects[0], 2), "objects_1_ms": round(objects[1], 2),
         "bones": list(BONES), "blending_ms": [round(value, 3) for value in _blending(bench, actor.model.grid(0))],
-        "repeated_frame_share": round(_repeated(bench, pose, camera), 3),
+        "repeated_frame_share": round(_repeated(bench, held_shot(pose, camera, actor.skeleton.names, 2)), 3),
     })  # fmt: skip
     _plot(covered, times)
 
@@ -64,17 +63,8 @@ def _blending(bench: Bench, grid) -> list[float]:
     return milliseconds(bench.runs, *works)
 
 
-def _repeated(bench: Bench, pose: Pose, camera) -> float:
+def _repeated(bench: Bench, shot: Shot) -> float:
     """What a frame that equals an earlier one takes, as a share of rendering it; file writing included in both."""
-    bones = bench.seen()[0].skeleton.names
-    actor = ShotActor(
-        "actor", pose.person, pose.objects, bones, np.stack([pose.world_from_bone] * 2),
-        np.stack([pose.world_from_object] * 2),
-    )  # fmt: skip
-    shot = Shot(
-        "held", 24.0, camera.width, camera.height, camera.kind, np.arange(2), np.stack([camera.intrinsics] * 2),
-        np.stack([camera.world_from_camera] * 2), np.array([[0.01, 100.0]] * 2), (actor,),
-    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "held.shot.npz"
         write_shot(path, shot)

@@ -18,10 +18,7 @@ def main() -> int:
     options = parser()
     options.add_argument("case")
     chosen = options.parse_args()
-    bench = Bench(
-        chosen.data, chosen.format, tuple(chosen.train.split(",")), tuple(chosen.test.split(",")), chosen.model, None,
-        None, 1.0, 1, chosen.view,
-    )  # fmt: skip
+    bench = Bench.of(chosen)
     covered = 0.0
     if chosen.case == "training":
         memory.training(bench)

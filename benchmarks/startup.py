@@ -13,9 +13,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from benchmarks.common import Bench, save
+from benchmarks.common import Bench, held_shot, save
 from chona_model.data.dataset import View
-from chona_model.formats.shot import Shot, ShotActor, write_shot_to
+from chona_model.formats.shot import write_shot_to
 
 POSES = 12
 WIDTH, HEIGHT = 256, 192
@@ -28,7 +28,8 @@ def measure(bench: Bench) -> None:
     info = median(_process([*chona, "info", str(bench.model)]) for _ in range(5))
     _worker_ready(bench, chona)
     ready = [_worker_ready(bench, chona) for _ in range(3)]
-    latency = {preset: round(1e3 * _latency(bench, chona, views, preset), 1) for preset in ("draft", "preview")}
+    names = bench.seen()[0].skeleton.names
+    latency = {preset: round(1e3 * _latency(bench, chona, views, names, preset), 1) for preset in ("draft", "preview")}
     save("startup", {"info_seconds": round(info, 3), "worker_ready_seconds": round(median(ready), 2),
                      "size": [WIDTH, HEIGHT], "pose_to_frame_ms": latency})  # fmt: skip
 
@@ -59,10 +60,9 @@ def _worker_ready(bench: Bench, chona: list[str]) -> float:
     return seconds
 
 
-def _latency(bench: Bench, chona: list[str], views: tuple[View, ...], preset: str) -> float:
+def _latency(bench: Bench, chona: list[str], views: tuple[View, ...], names: tuple[str, ...], preset: str) -> float:
     """Median seconds from a new pose in this process to its pixels in this process, everything counted."""
     worker, inbox, outbox = _start(bench, chona)
-    names = bench.seen()[0].skeleton.names
     seconds = []
     for number in range(POSES):
         view = views[(4 * number + 1) % len(views)]
@@ -83,14 +83,6 @@ def _latency(bench: Bench, chona: list[str], views: tuple[View, ...], preset: st
 def _shot(view: View, names: tuple[str, ...]) -> bytes:
     """A shot of one view at the preview's size."""
     camera = replace(view.camera.scaled(WIDTH / view.camera.width), width=WIDTH, height=HEIGHT)
-    pose = view.pose
-    actor = ShotActor(
-        "actor", pose.person, pose.objects, names, pose.world_from_bone[None], pose.world_from_object[None]
-    )
-    shot = Shot(
-        "pose", 24.0, WIDTH, HEIGHT, camera.kind, np.array([1]), camera.intrinsics[None],
-        camera.world_from_camera[None], np.array([[0.01, 100.0]]), (actor,),
-    )  # fmt: skip
     stream = io.BytesIO()
-    write_shot_to(stream, shot)
+    write_shot_to(stream, held_shot(view.pose, camera, names))
     return stream.getvalue()

@@ -15,7 +15,7 @@ import numpy as np
 from . import actions, preferences
 from .camera import ImageFormat, image_format
 from .errors import ChonaError
-from .jobs import sentence
+from .jobs import redraw_sidebars, sentence
 from .live_kept import close_kept, kept_worker
 from .live_pace import STAGES, Pace
 from .live_view import Canvas, Picture, camera_frame, camera_views
@@ -186,7 +186,7 @@ class LivePreview:
             region.tag_redraw()
         if error != self.error:
             self.error = error
-            redraw_panels()
+            redraw_sidebars(bpy.context)
 
 
 def _same(one: Shot, other: Shot) -> bool:
@@ -209,15 +209,6 @@ def _depsgraph(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
     window = next(each for each in bpy.context.window_manager.windows if each.scene == scene)
     with bpy.context.temp_override(window=window):
         return bpy.context.evaluated_depsgraph_get()
-
-
-def redraw_panels() -> None:
-    """Have the sidebars drawn again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            for region in area.regions if area.type == "VIEW_3D" else ():
-                if region.type == "UI":
-                    region.tag_redraw()
 
 
 preview = LivePreview()

@@ -260,7 +260,7 @@ def _serve(arguments: argparse.Namespace, _progress: Progress) -> int:
     frames = sys.stdout.buffer
     # Libraries print where they like; stdout belongs to the frames.
     with contextlib.redirect_stdout(sys.stderr):
-        serve(arguments.model, device, sink=frames)
+        serve(arguments.model, device, sys.stdin.buffer, frames)
     return DONE
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from chona_model.deform.gradients import attach_implicit_gradients
-from chona_model.deform.inverse import Roots, bone_distances, bone_starts, find_roots
+from chona_model.deform.inverse import Roots, bone_distances, bone_starts, canonical_distances, find_roots
 from chona_model.deform.predict import Prediction, predict
 from chona_model.deform.regularisers import bone_regularisers
 from chona_model.deform.skinning import ForwardSkinning
@@ -21,7 +21,7 @@ from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import IdentityCodes
 from chona_model.field.radiance import FieldSample, RadianceField
 from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, pose_code_size
-from chona_model.geometry import box_distances, inverse_3x3, segment_distances
+from chona_model.geometry import inverse_3x3
 from chona_model.render.bounds import BODY_REACH, OBJECT_MARGIN
 from chona_model.render.frustum import conical_frusta, cylinders
 from chona_model.render.integration import integrate, ray_weights, visible_confidence
@@ -129,18 +129,19 @@ class ExactModel(nn.Module):
 
     def within_reach(self, points: Tensor, poses: PoseBatch, index: Tensor) -> Tensor:
         """[M] bool: near enough to a bone or an object for anything to be there; what bounds rays, sample by sample."""
-        distance = bone_distances(points, poses, index, self.canonical_boxes(poses))[1]
-        bones, objects = distance[:, : self.shape.bones], distance[:, self.shape.bones :]
-        return (bones <= BODY_REACH).any(dim=-1) | (objects <= OBJECT_MARGIN).any(dim=-1)
+        return self._reached(bone_distances(points, poses, index, self.canonical_boxes(poses))[1])
 
     def within_canonical_reach(self, points: Tensor, index: Tensor, poses: PoseBatch, margin: float = 0.0) -> Tensor:
         """[M] bool: the same of canonical points, ``margin`` metres farther."""
-        heads, tails, present, boxes = poses.heads, poses.tails, poses.present, self.canonical_boxes(poses)
-        if len(heads) > 1:
-            heads, tails, present, boxes = (a.index_select(0, index) for a in (heads, tails, present, boxes))
-        bones = segment_distances(points[:, None], heads, tails) <= BODY_REACH + margin
-        things = box_distances(points[:, None], boxes[..., 0, :], boxes[..., 1, :]) <= OBJECT_MARGIN + margin
-        return (torch.cat([bones, things], dim=-1) & present).any(dim=-1)
+        own = (poses.heads, poses.tails, self.canonical_boxes(poses), poses.present)
+        if len(poses.heads) > 1:
+            own = tuple(array.index_select(0, index) for array in own)  # type: ignore[assignment]
+        return self._reached(canonical_distances(points[:, None].expand(-1, poses.present.shape[1], -1), *own), margin)
+
+    def _reached(self, distance: Tensor, margin: float = 0.0) -> Tensor:
+        """[M] bool of distances [M, J] to bones, then objects."""
+        bones, objects = distance[:, : self.shape.bones], distance[:, self.shape.bones :]
+        return (bones <= BODY_REACH + margin).any(dim=-1) | (objects <= OBJECT_MARGIN + margin).any(dim=-1)
 
     def render_rays(
         self,

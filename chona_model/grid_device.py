@@ -9,15 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.camera import ORTHOGRAPHIC, Camera
+from chona_model.camera import Camera
 from chona_model.grid_inputs import Surfaces
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.grid_view import ACCEPT, LONGEST, TOLERANCE, View
-from chona_model.kernels import marching
 from chona_model.kernels.cpu.advance import COLUMNS
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex
 from chona_model.render.occupancy import Occupancy, PartCells
-from chona_model.render.posed import SPREAD, PosedPart, Window, camera_matrix
+from chona_model.render.posed import PosedPart, Window, depth_spans
 from chona_model.render.tracing import PoseTable, RayRows, TraceSettings, make_pose_table, trace
 from chona_model.settings import RenderSettings
 
@@ -58,7 +57,7 @@ def render_on_device(
     model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window
 ) -> View:
     """As ``grid_view.render_view``."""
-    near, far = _spans(model, ready, camera, window)
+    near, far = depth_spans(ready.part, ready.figure.figure, camera, window, model.real)
     rows, columns = (far > near).nonzero(as_tuple=True)
     near, far = near[rows, columns], far[rows, columns]
     rows, columns = rows + window.top, columns + window.left
@@ -87,16 +86,3 @@ def render_on_device(
             values[chunk, 7] += traced.tried
             evaluated += traced.evaluated
     return View(rows.cpu().numpy(), columns.cpu().numpy(), values.float().cpu().numpy(), evaluated)
-
-
-def _spans(model: GridModel, ready: DevicePose, camera: Camera, window: Window) -> tuple[Tensor, Tensor]:
-    """``render.posed.depth_spans`` on the model's device."""
-    size = (max(window.bottom - window.top, 0), max(window.right - window.left, 0))
-    near, far = model.real(np.full(size, np.inf)), model.real(np.zeros(size))
-    intrinsics = camera.intrinsics.copy()
-    intrinsics[:2, 2] -= window.left, window.top
-    marching.splat_spans(
-        model.real(ready.part.outline), model.real(camera_matrix(ready.figure.figure, camera)), model.real(intrinsics),
-        camera.kind == ORTHOGRAPHIC, ready.part.reach * SPREAD, near, far,
-    )  # fmt: skip
-    return near, far

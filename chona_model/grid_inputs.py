@@ -60,12 +60,10 @@ def parts_of(
     Args:
         light: [9, 3] of the pose (see ``GridModel.root_light``).
     """
-    slots = model.shape.object_slots
-    slot_part = np.full(slots, -1, dtype=np.int32)
-    slot_part[: len(posed.objects)] = [len(model.persons) + thing for thing in posed.objects]
     return advance.Parts(
         surfaces.occupied, occupancy.first, occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell),
-        surfaces.normals, light, posed.person, slot_part, np.ascontiguousarray(posed.slots).reshape(slots, 3, 4),
+        surfaces.normals, light, posed.person, model.slot_parts(posed),
+        np.ascontiguousarray(posed.slots).reshape(model.shape.object_slots, 3, 4),
     )  # fmt: skip
 
 

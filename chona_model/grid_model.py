@@ -146,6 +146,12 @@ class GridModel(nn.Module):
         """An array on the model's device, in its floating type."""
         return torch.as_tensor(array, dtype=self.field.lower.dtype, device=self.device)
 
+    def slot_parts(self, pose: PosedFigure) -> np.ndarray:
+        """[N] int32 which part each object slot of a pose shows, −1 for none."""
+        parts = np.full(self.shape.object_slots, -1, dtype=np.int32)
+        parts[: len(pose.objects)] = [len(self.persons) + thing for thing in pose.objects]
+        return parts
+
     def person_index(self, name: str | None) -> int:
         """Index of a person by name; −1 for None.
 

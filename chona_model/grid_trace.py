@@ -17,6 +17,7 @@ from chona_model.kernels.cpu import advance, encode, skinning
 from chona_model.kernels.cpu import perceptron as network_kernels
 from chona_model.kernels.cpu import sample as kernels
 from chona_model.kernels.cpu.light import TERMS
+from chona_model.kernels.reference.light import terms
 from chona_model.kernels.threads import in_pieces
 from chona_model.kernels.warp import MIN_DETERMINANT
 from chona_model.render.tracing import TraceSettings
@@ -137,7 +138,7 @@ class _Trace(torch.autograd.Function):
                 piece.first, piece.order, found, work.limits.step, work.limits.stop,
                 grads[piece.pose][piece.begin : piece.end], grad_density, grad_rgb,
             )  # fmt: skip
-            lights[number] = gain_terms(found.normal).T @ (grad_rgb * found.rgb)
+            lights[number] = terms(torch.from_numpy(found.normal)).T @ torch.from_numpy(grad_rgb * found.rgb)
             grad_rgb *= found.gain
             grad_x = np.empty((count, network.both.shape[0]), np.float32)
             perceptron.cpu.backward(
@@ -174,13 +175,8 @@ class _Trace(torch.autograd.Function):
         total = network_kernels.Network(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
         grad_lights = torch.zeros(len(work.rays), TERMS, 3)
         for piece, light in zip(work.pieces, lights, strict=True):
-            grad_lights[piece.pose] += torch.from_numpy(light)
+            grad_lights[piece.pose] += light
         return None, *grad_matrices, grad_lights, *perceptron.unpack(total, perceptron.FieldWeights(*weights))
-
-
-def gain_terms(normals: np.ndarray) -> np.ndarray:
-    """[M, TERMS] derivatives of a gain's logarithm by its light, from normals [M, 3]."""
-    return np.concatenate([normals, normals**2, normals * np.roll(normals, -1, axis=1)], axis=1)
 
 
 def _grad_matrices(work: _Work, pose: int) -> Tensor:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -121,7 +120,7 @@ class Inbox:
             return request, overtaken
 
 
-def serve(model: Path, device: str = "cpu", source: BinaryIO | None = None, sink: BinaryIO | None = None) -> None:
+def serve(model: Path, device: str, source: BinaryIO, out: BinaryIO) -> None:
     """Loads a model, says that it is ready and answers requests until the parent closes its end.
 
     A request that cannot be rendered is answered with an error, and the next one is waited for.
@@ -130,7 +129,7 @@ def serve(model: Path, device: str = "cpu", source: BinaryIO | None = None, sink
         ModelFileError: the model cannot be loaded.  RequestError: the input is not the protocol's.
     """
     began = time.perf_counter()
-    inbox, out = Inbox(source or sys.stdin.buffer), sink or sys.stdout.buffer
+    inbox = Inbox(source)
     actor = load_actor(model, device)
     _warm(actor)
     _say(out, {"event": "ready", "job": "serve", "seconds": round(time.perf_counter() - began, 3)})

@@ -65,9 +65,9 @@ class RenderSettings:
     Attributes:
         preset: the name it goes by.
         step: distance between samples, metres (models on grids).
-        newton_steps: Newton steps at most in the voxel volume; starts: kept a posed cell, 1 or 2: where
-            two body parts meet, the second is the other one's.
+        newton_steps: Newton steps at most in the voxel volume.
         stop: transmittance behind which nothing is evaluated; 0 evaluates everything.
+        starts: kept a posed cell, 1 or 2: where two body parts meet, the second is the other one's.
         supersampling: rays a pixel along each axis.
         occupancy: whether empty cells of the occupancy grids are skipped.
         offset, shading: whether F_Δ and the ambient occlusion are applied.

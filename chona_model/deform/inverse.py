@@ -87,16 +87,26 @@ def bone_distances(targets: Tensor, poses: PoseBatch, index: Tensor, object_boxe
         rotation, offset, heads, tails, present, boxes = (
             part.index_select(0, index) for part in (rotation, offset, heads, tails, present, boxes)
         )
-    bones = heads.shape[1]
     local = ((targets[:, None, :] - offset)[..., None, :] @ rotation)[..., 0, :]
+    return local, canonical_distances(local, heads, tails, boxes, present)
+
+
+def canonical_distances(points: Tensor, heads: Tensor, tails: Tensor, boxes: Tensor, present: Tensor) -> Tensor:
+    """Distances [M, J] to every canonical bone and object box, metres; infinite for absent ones.
+
+    Args:
+        points: [M, J, 3], one for each bone and box.
+        heads, tails: [M or 1, B, 3]; boxes: [M or 1, N, 2, 3]; present: [M or 1, J].
+    """
+    bones = heads.shape[1]
     distance = torch.cat(
         [
-            segment_distances(local[:, :bones], heads, tails),
-            box_distances(local[:, bones:], boxes[..., 0, :], boxes[..., 1, :]),
+            segment_distances(points[:, :bones], heads, tails),
+            box_distances(points[:, bones:], boxes[..., 0, :], boxes[..., 1, :]),
         ],
         dim=-1,
     )
-    return local, torch.where(present, distance, torch.inf)
+    return torch.where(present, distance, torch.inf)
 
 
 @torch.no_grad()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -140,20 +140,30 @@ def window_of(posed: PosedPart, figure: Figure, camera: Camera) -> Window:
     return Window(*sides)
 
 
+def _as_it_is(array: np.ndarray) -> np.ndarray:
+    return array
+
+
 def depth_spans(
-    posed: PosedPart, figure: Figure, camera: Camera, window: Window | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    posed: PosedPart, figure: Figure, camera: Camera, window: Window | None = None,
+    real: Callable[[np.ndarray], Any] = _as_it_is,
+) -> tuple[Any, Any]:  # fmt: skip
     """Near and far depth of every pixel of a window (by default the image), [H, W] float32 each.
 
     far ≤ near where the figure cannot be.
+
+    Args:
+        real: makes the arrays those of a model on another device (``GridModel.real``).
     """
     window = window or Window(0, camera.height, 0, camera.width)
     size = (max(window.bottom - window.top, 0), max(window.right - window.left, 0))
-    near, far = np.full(size, np.inf, dtype=np.float32), np.zeros(size, dtype=np.float32)
+    near, far = real(np.full(size, np.inf, dtype=np.float32)), real(np.zeros(size, dtype=np.float32))
     intrinsics = camera.intrinsics.copy()
     intrinsics[:2, 2] -= window.left, window.top
-    flat = camera.kind == ORTHOGRAPHIC
-    splat_spans(posed.outline, camera_matrix(figure, camera), intrinsics, flat, posed.reach * SPREAD, near, far)
+    splat_spans(
+        real(posed.outline), real(camera_matrix(figure, camera)), real(intrinsics), camera.kind == ORTHOGRAPHIC,
+        posed.reach * SPREAD, near, far,
+    )  # fmt: skip
     return near, far
 
 

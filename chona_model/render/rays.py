@@ -41,6 +41,7 @@ def empty_result(rays: RayBatch, sound: Tensor, samples: int) -> RayResult:
 
 
 def join(parts: list[RayResult]) -> RayResult:
+    """Chunks one after the other; their counts of failed samples become the share of them all."""
     counts = torch.stack([part.failed_share for part in parts]).sum(dim=0).to(parts[0].alpha)
     fields = ("rgb", "alpha", "depth", "human", "object", "confidence")
     joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in fields}

@@ -82,17 +82,12 @@ def make_pose_table(
     starts = np.concatenate(
         [np.where(part.starts >= 0, part.starts + voxels[index], -1) for index, part in enumerate(parts)]
     )
-    slot_part = np.full((len(poses), model.shape.object_slots), -1, dtype=np.int32)
-    for index, pose in enumerate(poses):
-        slot_part[index, : len(pose.objects)] = [len(model.persons) + thing for thing in pose.objects]
+    slot_part = np.stack([model.slot_parts(pose) for pose in poses])
     slots = np.stack([pose.slots for pose in poses]).reshape(len(poses), model.shape.object_slots, 3, 4)
-    like = model.field.lower
-
-    def real(array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, dtype=like.dtype, device=like.device)
+    real = model.real
 
     def whole(array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, device=like.device)
+        return torch.as_tensor(array, device=model.device)
 
     first = np.concatenate([[0], np.cumsum([len(part.starts) for part in parts])])[:-1]
     return PoseTable(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,9 +13,7 @@ from torch import Tensor
 from chona_model.grid_inputs import Surfaces, parts_of
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.grid_trace import PoseRays, trace_rays
-from chona_model.kernels.cpu.advance import Starts
 from chona_model.kernels.cpu.sample import GivenRays
-from chona_model.render.posed import PosedPart
 from chona_model.render.tracing import RayRows, TraceSettings, make_pose_table, trace
 
 
@@ -39,14 +38,14 @@ class Batch:
     """Rays of several poses.
 
     Attributes:
-        figures, parts, starts: of each pose; rays: of each pose.
+        figures, rays: of each pose; grids: of each pose, as the way taken wants them: ``Starts`` for the kernels,
+            ``PosedPart`` for the stages.
         jitter: [R] float32 over all rays; ray_pair: [R, N] int64 rows of ``pairs`` for every object slot.
         pairs: [Q, 2] identity pairs; codes: [P, C] pose codes; lights: [P, 9, 3].
     """
 
     figures: Sequence[PosedFigure]
-    parts: Sequence[PosedPart]
-    starts: Sequence[Starts]
+    grids: Sequence[Any]
     rays: Sequence[DrawnRays]
     jitter: np.ndarray
     ray_pair: np.ndarray
@@ -67,7 +66,7 @@ def trace_fused(
         )
         light = batch.lights[place].detach().numpy()
         parts = parts_of(model, figure, model.occupancy, surfaces, light)
-        rows.append(PoseRays(figure, matrices[place], batch.starts[place], parts, given))
+        rows.append(PoseRays(figure, matrices[place], batch.grids[place], parts, given))
         begin = own.stop
     return trace_rays(model, rows, batch.pairs, batch.codes, batch.lights, settings)[0]
 
@@ -76,7 +75,7 @@ def trace_staged(model: GridModel, batch: Batch, skinning: bool, surfaces: Surfa
     """The same by ``render.tracing`` on the model's device; ``skinning``: whether it gets gradients."""
     with torch.set_grad_enabled(skinning):
         matrices, index = model.matrices(batch.figures)
-    table = make_pose_table(model, batch.figures, model.occupancy, surfaces.normals, batch.parts)
+    table = make_pose_table(model, batch.figures, model.occupancy, surfaces.normals, batch.grids)
 
     def joined(name: str) -> Tensor:
         return model.real(np.concatenate([getattr(rays, name) for rays in batch.rays]))

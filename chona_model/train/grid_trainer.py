@@ -16,9 +16,11 @@ from chona_model.grid_actor import GridActor
 from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.kernels.cpu.adam import adam_rows
+from chona_model.kernels.cpu.advance import Starts
 from chona_model.kernels.grid import FEATURES, fast
 from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
+from chona_model.render.posed import PosedPart
 from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
 from chona_model.train.errors import TrainingError
 from chona_model.train.fast_settings import FastSettings
@@ -119,8 +121,10 @@ class GridTrainer:
         self.built_from = {name: value.detach().clone() for name, value in self.model.volumes.state_dict().items()}
         self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
         cells = self.model.cells(self.model.occupancy)
-        self.parts = parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
-        self.surfaces, self.starts = surfaces_of(self.model.occupancy), [starts_of(part) for part in parts]
+        parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
+        self.surfaces = surfaces_of(self.model.occupancy)
+        # A posed grid takes megabytes, its occupied cells a tenth of that: kernels keep those alone.
+        self.grids: list[Starts] | list[PosedPart] = [starts_of(part) for part in parts] if self.fused else parts
         self.pools = make_pools(parts, self.posed, self.groups)
         self._forget_matrices()
         self.usable = np.array([index for index, row in enumerate(self.pools) if row])
@@ -148,9 +152,8 @@ class GridTrainer:
         figures = [self.posed[number] for number in chosen]
         pairs, ray_pair = self._identities(pose, part, index)
         batch = Batch(
-            figures, [self.parts[number] for number in chosen], [self.starts[number] for number in chosen], drawn,
-            random.random(len(part), dtype=np.float32), ray_pair, pairs,
-            real(np.stack([figure.code for figure in figures])), self.model.root_light(figures),
+            figures, [self.grids[number] for number in chosen], drawn, random.random(len(part), dtype=np.float32),
+            ray_pair, pairs, real(np.stack([figure.code for figure in figures])), self.model.root_light(figures),
         )  # fmt: skip
         tracing = settings.trace if share < settings.fine_from else settings.fine_trace
         if self.fused:
