@@ -1,0 +1,13 @@
+"""The sidebar tab CHONA in the 3D view, one subject a module. Drawing reads the settings and what is cached; nothing is
+computed and no file is opened.
+"""
+
+from __future__ import annotations
+
+from . import bake, composite, learn, model, rig, worker
+from .worker import draw_worker
+
+CLASSES = (*model.CLASSES, *rig.CLASSES, *bake.CLASSES, *composite.CLASSES, *learn.CLASSES, *worker.CLASSES)
+"""In the order of the sidebar."""
+
+__all__ = ["CLASSES", "draw_worker"]
