@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from PIL import Image
 from torch import Tensor
 
 from chona_model.camera import Camera
@@ -17,6 +16,9 @@ from chona_model.skeleton import Skeleton
 
 EMPTY_DEPTH = 1e10
 """Depth where nothing is, as Blender's Z pass has it."""
+
+CHANNELS = ("rgb", "alpha", "depth", "human", "object", "confidence")
+"""What a picture has for every pixel."""
 
 
 @dataclass(frozen=True)
@@ -50,57 +52,15 @@ def empty_picture(camera: Camera) -> Picture:
     )  # fmt: skip
 
 
-def enlarge(picture: Picture, camera: Camera) -> Picture:
-    """A picture rendered at a share of the resolution, interpolated to ``camera``'s; depths of nothing stay so.
-
-    Only the box that shows anything is interpolated, where the enlargement is by whole numbers.
-    """
-    height, width = picture.alpha.shape
-    source, target = (0, height, 0, width), (0, camera.height, 0, camera.width)
-    if camera.height % height == 0 and camera.width % width == 0:
-        source = _shown(picture.alpha)
-        target = tuple(
-            place * (camera.height // height if number < 2 else camera.width // width)
-            for number, place in enumerate(source)
-        )
-    large = empty_picture(camera)
-    if source[0] < source[1]:
-        _interpolate(picture, large, source, target)
-    return replace(large, rays=picture.rays, failed_share=picture.failed_share)
-
-
-Box = tuple[int, int, int, int]
-"""Rows from, to; columns from, to."""
-
-REACH = 2
-"""Pixels around what is shown that interpolation touches."""
-
-
-def _shown(alpha: np.ndarray) -> Box:
-    rows, columns = (np.flatnonzero(alpha.any(axis=axis)) for axis in (1, 0))
-    if len(rows) == 0:
-        return 0, 0, 0, 0
-    height, width = alpha.shape
-    return (
-        max(int(rows[0]) - REACH, 0), min(int(rows[-1]) + 1 + REACH, height), max(int(columns[0]) - REACH, 0),
-        min(int(columns[-1]) + 1 + REACH, width),
-    )  # fmt: skip
-
-
-def _interpolate(small: Picture, large: Picture, source: Box, target: Box) -> None:
-    """Writes a box of ``small`` to a box of ``large``."""
-    own, size = np.s_[target[0] : target[1], target[2] : target[3]], (target[3] - target[2], target[1] - target[0])
-    cut = np.s_[source[0] : source[1], source[2] : source[3]]
-
-    def resize(channel: np.ndarray, method: Image.Resampling = Image.Resampling.BILINEAR) -> np.ndarray:
-        return np.asarray(Image.fromarray(np.ascontiguousarray(channel[cut])).resize(size, method))
-
-    for name in ("alpha", "human", "object", "confidence"):
-        getattr(large, name)[own] = resize(getattr(small, name))
-    for k in range(3):
-        large.rgb[..., k][own] = resize(small.rgb[..., k])
-    depth = resize(small.depth, Image.Resampling.NEAREST)
-    large.depth[own] = np.where(large.alpha[own] > 0, depth, np.float32(EMPTY_DEPTH))
+def merge(picture: Picture, traced: Picture, pixels: np.ndarray) -> Picture:
+    """``picture`` with the pixels [H, W] bool taken from ``traced``; rays are added, failures averaged over them."""
+    rays = picture.rays + traced.rays
+    failed = (picture.failed_share * picture.rays + traced.failed_share * traced.rays) / max(rays, 1)
+    channels = {
+        name: np.where(pixels[..., None] if own.ndim == 3 else pixels, getattr(traced, name), own)
+        for name, own in ((name, getattr(picture, name)) for name in CHANNELS)
+    }
+    return replace(picture, **channels, rays=rays, failed_share=failed)
 
 
 class Actor(Protocol):
@@ -112,8 +72,20 @@ class Actor(Protocol):
     objects: Mapping[str, ObjectShape]
     object_distance: float
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        """Renders a view; ``ValueError`` for identities the model does not know."""
+    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+        """Renders a view; ``KeyError`` for identities the model does not know.
+
+        Args:
+            pixels: [H, W] bool, those that are traced; the others stay empty. None: all.
+        """
+        ...
+
+    def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
+        """How many rays ``render`` would trace, without tracing any; what guided upsampling adds is not in it."""
+        ...
+
+    def forget_poses(self) -> None:
+        """Makes the next pose ready anew, as a new one would be."""
         ...
 
     def tensors(self) -> dict[str, Tensor]:

@@ -32,8 +32,6 @@ from chona_model.settings import ExactSettings
 PREDICTION_MARGIN = 0.03
 """How far a predicted root may be off, metres: nearer than this to what could hold something it is followed."""
 
-COVARIANCES = ("warped", "plain")
-
 
 @dataclass(frozen=True)
 class _Samples:
@@ -107,6 +105,7 @@ class ExactModel(nn.Module):
             size=self.shape.size,
         )
         empty = torch.zeros_like(usable[:, 0])
+        prediction = None
         if settings.inverse.predict > 0:
             may_hold = partial(self.within_canonical_reach, poses=poses, margin=PREDICTION_MARGIN)
             prediction = self._prediction(poses, settings.inverse.predict)
@@ -114,6 +113,8 @@ class ExactModel(nn.Module):
             starts, usable, empty = led.starts, led.follow, led.empty
 
         def warp(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+            if prediction is not None and settings.roots == "grid":
+                return prediction.warp(x, index[rows])
             return self.deform.with_jacobian(x, poses, index[rows], settings.offset)
 
         roots = find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
@@ -165,11 +166,11 @@ class ExactModel(nn.Module):
             orthographic: the rays are cylinders of radius ``rays.radii``.
 
         Raises:
-            ValueError: an unknown covariance, parameters of another dtype than the rays, or, in training, rays that
-                are not finite (when rendering these are transparent, of confidence 0, and count as failed).
+            ValueError: parameters of another dtype than the rays, or, in training, roots in a grid or rays that are not
+                finite (when rendering these are transparent, of confidence 0, and count as failed).
         """
-        if settings.covariance not in COVARIANCES:
-            raise ValueError(f"covariance is '{settings.covariance}', expected one of {', '.join(COVARIANCES)}")
+        if self.training and settings.roots == "grid":
+            raise ValueError("the setting 'roots' is 'grid', which has no gradients: train with 'network'")
         parameter = next(self.parameters())
         if parameter.dtype != rays.origins.dtype:
             raise ValueError(
@@ -263,22 +264,23 @@ class ExactModel(nn.Module):
         if torch.is_grad_enabled():
             posed = self.deform(found, poses, index[rows], settings.offset)
             found, _ = attach_implicit_gradients(found, posed, targets[rows], jacobian)
-        sample = self.field(
-            found,
-            carried,
-            identity,
-            poses.codes if settings.shading else None,
-            identity_index=ray[rows],
-            pose_index=index[rows],
-        )
+        with _field_precision(found, settings):
+            sample = self.field(
+                found,
+                carried,
+                identity,
+                poses.codes if settings.shading else None,
+                identity_index=ray[rows],
+                pose_index=index[rows],
+            )
         weights = self.deform.weights(found, poses, index[rows])
         parts = [weights[:, : self.shape.bones], weights[:, self.shape.bones : -1]]
         shares = torch.stack([part.sum(dim=-1) for part in parts], dim=-1)
         place = reached[rows]
         converged = torch.ones(count, dtype=torch.bool, device=means.device).index_copy(0, reached, roots.found)
         return _Samples(
-            rgb=means.new_zeros(count, 3).index_copy(0, place, sample.rgb).unflatten(0, shape),
-            density=means.new_zeros(count).index_copy(0, place, sample.density).unflatten(0, shape),
+            rgb=means.new_zeros(count, 3).index_copy(0, place, sample.rgb.to(means)).unflatten(0, shape),
+            density=means.new_zeros(count).index_copy(0, place, sample.density.to(means)).unflatten(0, shape),
             shares=means.new_zeros(count, 2).index_copy(0, place, shares).unflatten(0, shape),
             converged=converged.unflatten(0, shape),
         )
@@ -309,9 +311,16 @@ class ExactModel(nn.Module):
         if len(target):
             density = covariances.new_full(candidates.shape, -torch.inf)
             carried = _carry(covariances[target], roots.jacobians[target, start], settings)
-            density[target, start] = self.field.density(roots.points[target, start], carried, identity, ray[target])
+            with _field_precision(carried, settings):
+                found = self.field.density(roots.points[target, start], carried, identity, ray[target])
+            density[target, start] = found.to(density)
             chosen = torch.where(several.any(dim=-1), density.argmax(dim=-1), chosen)
         return chosen, usable
+
+
+def _field_precision(like: Tensor, settings: ExactSettings) -> torch.autocast:
+    """The arithmetic of the field's perceptrons."""
+    return torch.autocast(like.device.type, torch.bfloat16, enabled=settings.field_precision == "bfloat16")
 
 
 def _carry(covariances: Tensor, jacobians: Tensor, settings: ExactSettings) -> Tensor:

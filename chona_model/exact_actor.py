@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture, enlarge
+from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
 from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.exact import ExactModel
@@ -18,6 +19,7 @@ from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, Rig, make
 from chona_model.render.bounds import figure_spans
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
+from chona_model.upsampling import render_scaled
 
 CONE = 2.0 / 12.0**0.5
 """mip-NeRF's base radius, in pixel widths: a disc with the variance of the square pixel."""
@@ -38,6 +40,7 @@ class ExactActor:
     ) -> None:  # fmt: skip
         self.model, self.skeleton, self.object_distance = model, skeleton, object_distance
         self.persons, self.objects = persons, objects
+        self._double: ExactActor | None = None
 
     def rig(self, person: str | None) -> Rig:
         """The rig of a person; of none, one with joints at the origin, for objects alone.
@@ -73,17 +76,33 @@ class ExactActor:
         """Corners of the objects' boxes in their own frames, metres."""
         return [(np.asarray(self.objects[name].lower), np.asarray(self.objects[name].upper)) for name in objects]
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        """Renders a view; pixels whose rays miss the figure's bounds cost nothing."""
-        if settings.resolution < 1.0:
-            small = camera.scaled(settings.resolution)
-            return enlarge(self._render(pose, small, settings), camera)
-        return self._render(pose, camera, settings)
+    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+        """Renders a view, or some ``pixels`` [H, W] bool of it; those that miss the figure's bounds cost nothing."""
+        return render_scaled(self._in(settings.precision)._render, pose, camera, settings, pixels)
 
-    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
+    def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
+        """How many rays ``render`` would trace, without tracing any."""
+        figure, rig, _ = self.figure(pose)
+        near, far = figure_spans(figure, rig, self.boxes(pose.objects), camera.scaled(settings.resolution))
+        return int(np.count_nonzero(far > near)) * settings.supersampling**2
+
+    def forget_poses(self) -> None:
+        """Nothing is kept from one view to the next."""
+
+    def _in(self, precision: str) -> ExactActor:
+        """This actor, or its double precision copy, which is kept."""
+        if precision == "float32":
+            return self
+        if self._double is None:
+            model = deepcopy(self.model).double()
+            self._double = ExactActor(model, self.skeleton, self.persons, self.objects, self.object_distance)
+        return self._double
+
+    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
         figure, rig, poses = self.figure(pose)
         near, far = figure_spans(figure, rig, self.boxes(pose.objects), camera)
-        rows, columns = np.nonzero(far > near)
+        seen = far > near
+        rows, columns = np.nonzero(seen if pixels is None else seen & pixels)
         if len(rows) == 0:
             return empty_picture(camera)
         side = settings.supersampling

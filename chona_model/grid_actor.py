@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -10,20 +11,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture, enlarge
+from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
 from chona_model.grid_device import DevicePose, make_device_pose, render_on_device
-from chona_model.grid_inputs import Surfaces, occupied_cells, surfaces_of
+from chona_model.grid_inputs import Surfaces, surfaces_for
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view
 from chona_model.kernels.grid import fast
-from chona_model.render.occupancy import Occupancy, PartCells, whole_support
-from chona_model.render.posed import window_of
+from chona_model.render.occupancy import Occupancy, PartCells, make_coarser, whole_support, without_thin
+from chona_model.render.posed import depth_spans, window_of
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
+from chona_model.upsampling import render_scaled
 
 TILE = 1 << 19
 """Pixels looked at together at most: what rays need beyond the picture itself stays under 100 MB."""
@@ -44,24 +46,40 @@ class GridActor:
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
         self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
-        self._cells: dict[bool, tuple[Occupancy, Surfaces, list[PartCells]]] = {}
+        self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
+        self._double: GridActor | None = None
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
-        """Renders a view.
+    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+        """Renders a view, or some ``pixels`` [H, W] bool of it.
 
         Raises:
             KeyError: the pose names an identity the model does not know.
         """
-        if settings.resolution < 1.0:
-            return enlarge(self._render(pose, camera.scaled(settings.resolution), settings), camera)
-        return self._render(pose, camera, settings)
+        return render_scaled(self._in(settings.precision)._render, pose, camera, settings, pixels)
 
-    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings) -> Picture:
+    def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
+        """How many rays ``render`` would trace, without tracing any."""
+        camera = camera.scaled(settings.resolution)
+        ready = self._in(settings.precision).ready(pose, settings)
+        near, far = depth_spans(
+            ready.part, ready.figure.figure, camera, window_of(ready.part, ready.figure.figure, camera)
+        )
+        return int(np.count_nonzero(far > near)) * settings.supersampling**2
+
+    def _in(self, precision: str) -> GridActor:
+        """This actor, or its double precision copy, which is kept."""
+        if precision == "float32":
+            return self
+        if self._double is None:
+            self._double = GridActor(deepcopy(self.model).double())
+        return self._double
+
+    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
         ready, picture, rays = self.ready(pose, settings), empty_picture(camera), 0
         roots = np.zeros(2)
         for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
             look: Any = render_view if isinstance(ready, ReadyPose) else render_on_device
-            view = look(self.model, ready, camera, settings, band)
+            view = look(self.model, ready, camera, settings, band, pixels)
             _fill(picture, view)
             rays += len(view.rows)
             roots += view.values[:, 6:8].sum(axis=0, dtype=np.float64)
@@ -79,25 +97,27 @@ class GridActor:
     def ready(self, pose: Pose, settings: RenderSettings) -> ReadyPose | DevicePose:
         """The pose made ready; the last few are kept, for several cameras and settings."""
         bones = None if pose.world_from_bone is None else pose.world_from_bone.tobytes()
-        shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.occupancy, settings.starts)
-        key = (bones, pose.world_from_object.tobytes(), *shown)
+        cells = (settings.occupancy, settings.occupancy_threshold, settings.occupancy_cell)
+        shown = (pose.person, pose.objects, settings.offset, settings.shading, settings.starts)
+        key = (bones, pose.world_from_object.tobytes(), *shown, *cells)
         if key not in self._poses:
             while len(self._poses) >= KEPT_POSES:
                 self._poses.pop(next(iter(self._poses)))
-            occupancy, surfaces, cells = self._occupied(settings.occupancy)
             posed = self.model.posed(pose)
             make = make_ready if self.fused else make_device_pose
-            self._poses[key] = make(self.model, posed, occupancy, surfaces, cells, settings)
+            self._poses[key] = make(self.model, posed, *self._occupied(*cells), settings)
         return self._poses[key]
 
-    def _occupied(self, skip_empty: bool) -> tuple[Occupancy, Surfaces, list[PartCells]]:
-        if skip_empty not in self._cells:
-            occupancy = self.model.occupancy if skip_empty else whole_support(self.model.occupancy)
-            surfaces = surfaces_of(self.model.occupancy)
-            if not skip_empty:
-                surfaces = replace(surfaces, occupied=occupied_cells(occupancy))
-            self._cells[skip_empty] = occupancy, surfaces, self.model.cells(occupancy)
-        return self._cells[skip_empty]
+    def _occupied(
+        self, skip_empty: bool, threshold: float, coarser: int
+    ) -> tuple[Occupancy, Surfaces, list[PartCells]]:
+        key = (skip_empty, threshold, coarser)
+        if key not in self._cells:
+            own = self.model.occupancy
+            occupancy = without_thin(own, threshold) if skip_empty else whole_support(own)
+            occupancy = make_coarser(occupancy, coarser)
+            self._cells[key] = occupancy, surfaces_for(occupancy, own, coarser), self.model.cells(occupancy)
+        return self._cells[key]
 
     def tensors(self) -> dict[str, Tensor]:
         """Parameters by identity, so that a scene reads only those it shows; and what frames them."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from chona_model.camera import Camera
 from chona_model.grid_inputs import Surfaces
 from chona_model.grid_model import GridModel, PosedFigure
-from chona_model.grid_view import ACCEPT, LONGEST, TOLERANCE, View
+from chona_model.grid_view import ACCEPT, LONGEST, View
 from chona_model.kernels.cpu.advance import COLUMNS
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex
 from chona_model.render.occupancy import Occupancy, PartCells
@@ -54,15 +54,20 @@ def make_device_pose(
 
 @torch.inference_mode()
 def render_on_device(
-    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window
-) -> View:
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window,
+    pixels: np.ndarray | None = None,
+) -> View:  # fmt: skip
     """As ``grid_view.render_view``."""
     near, far = depth_spans(ready.part, ready.figure.figure, camera, window, model.real)
-    rows, columns = (far > near).nonzero(as_tuple=True)
+    seen = far > near
+    if pixels is not None:
+        wanted = pixels[window.top : window.bottom, window.left : window.right]
+        seen &= torch.as_tensor(wanted, device=seen.device)
+    rows, columns = seen.nonzero(as_tuple=True)
     near, far = near[rows, columns], far[rows, columns]
     rows, columns = rows + window.top, columns + window.left
     side, values = settings.supersampling, near.new_zeros(len(near), COLUMNS)
-    newton = NewtonLimits(settings.newton_steps, TOLERANCE, LONGEST)
+    newton = NewtonLimits(settings.newton_steps, settings.tolerance, LONGEST)
     tracing = TraceSettings(settings.step, newton, ACCEPT, trust=0.0, stop=settings.stop)
     evaluated = 0
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])

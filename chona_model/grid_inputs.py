@@ -10,7 +10,7 @@ from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu import advance, newton
 from chona_model.kernels.cpu import trace as fused
 from chona_model.render.normals import surface_normals
-from chona_model.render.occupancy import Occupancy
+from chona_model.render.occupancy import Occupancy, coarser_cells
 from chona_model.render.posed import POSED_CELL, PosedPart
 
 APART = 0.01
@@ -45,6 +45,14 @@ class Surfaces:
 def surfaces_of(occupancy: Occupancy) -> Surfaces:
     """The occupied cells as they are now, and which way their surfaces face."""
     return Surfaces(occupied_cells(occupancy), surface_normals(occupancy))
+
+
+def surfaces_for(occupancy: Occupancy, trained: Occupancy, coarser: int) -> Surfaces:
+    """Cells of an ``occupancy`` made of the ``trained`` one, ``coarser`` of its cells to one along each axis.
+
+    Surfaces face where the trained ones face: which cells are sampled is not to change how anything is lit.
+    """
+    return Surfaces(occupied_cells(occupancy), coarser_cells(surface_normals(trained), trained, coarser))
 
 
 def occupied_cells(occupancy: Occupancy) -> np.ndarray:

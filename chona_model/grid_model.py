@@ -243,7 +243,7 @@ class GridModel(nn.Module):
             for slot, index in enumerate(pose.objects)
         ]
         person = cells[pose.person] if posed is not None else None
-        return pose_cells(person, objects, posed, self.occupancy.cell, chances)
+        return pose_cells(person, objects, posed, cells[0].cell, chances)
 
     def warp_points(self, pose: PosedFigure, points: np.ndarray, matrices: np.ndarray | None = None) -> np.ndarray:
         """Forward skinning of canonical points [K, 3] of the pose's person into root space, float32."""

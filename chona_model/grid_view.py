@@ -27,8 +27,8 @@ cpu: Any = tracing_kernels
 PIECE = 256
 """Pixels a thread takes at once: some ten milliseconds of work."""
 
-TOLERANCE, LONGEST, ACCEPT = 2e-4, 0.05, 0.002
-"""Metres: residual that ends Newton's method, its longest step, residual still accepted."""
+LONGEST, ACCEPT = 0.05, 0.002
+"""Metres: the longest step of Newton's method, the residual still accepted."""
 
 
 @dataclass(frozen=True)
@@ -81,17 +81,27 @@ def make_ready(
     return ReadyPose(posed, part, volume, starts_of(part), parts, network)
 
 
-def render_view(model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings, window: Window) -> View:
-    """Traces every pixel of a window that the pose's occupied cells may be seen in."""
+def render_view(
+    model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings, window: Window,
+    pixels: np.ndarray | None = None,
+) -> View:  # fmt: skip
+    """Traces every pixel of a window that the pose's occupied cells may be seen in.
+
+    Args:
+        pixels: [H, W] bool of the whole image: only these. None: all.
+    """
     real = np.float32
     near, far = depth_spans(ready.part, ready.figure.figure, camera, window)
-    where = np.nonzero(far > near)
+    seen = far > near
+    if pixels is not None:
+        seen &= pixels[window.top : window.bottom, window.left : window.right]
+    where = np.nonzero(seen)
     near, far, rows, columns = near[where], far[where], where[0] + window.top, where[1] + window.left
     origins, directions = ready.figure.figure.rays(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     lens = np.stack([origins[0], directions[0], directions[1] - directions[0], directions[2] - directions[0]])
-    pixels, lens = np.stack([columns, rows], axis=-1).astype(np.int32), lens.astype(real)
+    places, lens = np.stack([columns, rows], axis=-1).astype(np.int32), lens.astype(real)
     drift, side = (origins[1:] - origins[0]).astype(real), settings.supersampling
-    limits = limits_of(settings.step, settings.stop, settings.newton_steps, TOLERANCE, LONGEST, ACCEPT)
+    limits = limits_of(settings.step, settings.stop, settings.newton_steps, settings.tolerance, LONGEST, ACCEPT)
     out = np.empty((len(rows), advance.COLUMNS), dtype=real)
     rest = (ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits)
     slots = np.arange(max(len(ready.parts.slot_part), 1))
@@ -100,7 +110,7 @@ def render_view(model: GridModel, ready: ReadyPose, camera: Camera, settings: Re
         count = (end - begin) * side**2
         origin, direction = np.empty((2, count, 3), real)
         ray_near, ray_far = np.empty((2, count), real)
-        cpu.aim(begin, pixels, near, far, lens, drift, side, origin, direction, ray_near, ray_far)
+        cpu.aim(begin, places, near, far, lens, drift, side, origin, direction, ray_near, ray_far)
         pair = np.broadcast_to(slots, (count, len(slots))).copy()
         rays = GivenRays(origin, direction, ray_near, ray_far, np.full(count, 0.5, real), pair, 0)
         values = np.empty((count, advance.COLUMNS), real)

@@ -17,6 +17,7 @@ from torch import Tensor
 from chona_model.deform.inverse import first_of_equals
 from chona_model.deform.skinning import ForwardSkinning, blend, softmax_weights
 from chona_model.figure import PoseBatch
+from chona_model.kernels.reference.skinning import warp
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex, invert
 
 LIMITS = NewtonLimits(steps=80, tolerance=2e-4, max_step=0.03)
@@ -56,6 +57,10 @@ class Prediction:
 
     matrices: Tensor
     index: VolumeIndex
+
+    def warp(self, points: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+        """Posed points [M, 3] of canonical ones whose poses are ``index`` [M], and the Jacobians [M, 3, 3] there."""
+        return warp(self.matrices, points, index, self.index)
 
     def lead(self, targets: Tensor, starts: Tensor, usable: Tensor, index: Tensor, may_hold: MayHold | None) -> Led:
         """Starts led to where the grid has their roots.

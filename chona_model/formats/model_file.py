@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from chona_model.formats.atomic import atomic_path
 from chona_model.skeleton import Skeleton, SkeletonError
 
 FORMAT = "chona-model"
 VERSION = 1
+TRADE = "chona.trade"
+"""The metadata's entry for what ``chona trade`` measured; ``chona`` holds everything else."""
+
 MAX_HEADER = 100_000_000
 """A safetensors header longer than this is damage or an attack, bytes."""
+
+BLOCK = 1 << 22
+"""Bytes copied or hashed at once."""
 
 
 class ModelFileError(ValueError):
@@ -34,6 +43,7 @@ class ModelHeader:
         persons: by name {"rest_joints": [[x, y, z], …]}; objects: by name {"lower": [..], "upper": [..]}.
         object_distance: metres.
         settings, training, shape: JSON objects.
+        trade: what ``chona trade`` measured of the model, as ``trade.summary`` has it; None where it was not measured.
     """
 
     path: Path
@@ -48,6 +58,7 @@ class ModelHeader:
     settings: dict[str, Any]
     training: dict[str, Any]
     shape: dict[str, Any]
+    trade: dict[str, Any] | None = None
 
     def rest_joints(self, person: str) -> np.ndarray:
         """[B, 3] canonical joints of a person, metres."""
@@ -92,7 +103,8 @@ def read_header(path: Path) -> ModelHeader:
     Raises:
         ModelFileError: not a model file, of another version, or incomplete.
     """
-    text = read_metadata(path).get("chona")
+    metadata = read_metadata(path)
+    text = metadata.get("chona")
     try:
         content = json.loads(text) if text is not None else {}
         if content.get("format") != FORMAT:
@@ -109,13 +121,39 @@ def read_header(path: Path) -> ModelHeader:
             path, path.stat().st_size, content["version"], content["method"], content["field"],
             Skeleton(tuple(content["skeleton"]["names"]), tuple(content["skeleton"]["parents"])),
             content["persons"], content["objects"], float(content["object_distance"]), content["settings"],
-            content["training"], content["shape"],
+            content["training"], content["shape"], json.loads(metadata.get(TRADE, "null")),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError, SkeletonError) as error:
         raise ModelFileError(f"the metadata of {path} is incomplete or damaged ({error!r}); copy it again") from error
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
+    """SHA-256 of what pictures depend on, hexadecimal: the header without what ``chona trade`` put there, and the data.
+
+    Raises:
+        ModelFileError: see ``read_metadata``.
+    """
+    metadata = read_metadata(path)
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
+        header["__metadata__"] = {name: text for name, text in metadata.items() if name != TRADE}
+        digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def write_trade(path: Path, trade: Mapping[str, Any]) -> None:
+    """Puts what was measured of a model into its file, whole or not at all; tensors are copied as they are.
+
+    Raises:
+        ModelFileError: see ``read_metadata``.  OSError: the file or its folder cannot be written to.
+    """
+    metadata = read_metadata(path)
+    with path.open("rb") as file, atomic_path(path) as temporary, temporary.open("wb") as new:
+        header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
+        header["__metadata__"] = metadata | {TRADE: json.dumps(trade)}
+        text = json.dumps(header, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 8)  # tensors begin at multiples of eight bytes
+        new.write(struct.pack("<Q", len(text)) + text)
+        shutil.copyfileobj(file, new, BLOCK)

@@ -6,7 +6,8 @@ connected components are kept: an object that does not touch the hand is as real
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,10 +67,12 @@ class PartCells:
     Attributes:
         centres: [V, 3] float32 in the part's own frame, metres.
         shell: [S] int64 which of them have an empty neighbour: all that bounds the part in an image.
+        cell: edge of a cell, metres.
     """
 
     centres: np.ndarray
     shell: np.ndarray
+    cell: float
 
 
 def part_cells(occupancy: Occupancy, part: int) -> PartCells:
@@ -84,7 +87,7 @@ def part_cells(occupancy: Occupancy, part: int) -> PartCells:
             shift[axis] = slice(side, side + occupied.shape[axis])
             inner &= padded[tuple(shift)]
     index = np.flatnonzero(occupied)
-    return PartCells(occupancy.centres(part, index), np.flatnonzero(~inner.reshape(-1)[index]))
+    return PartCells(occupancy.centres(part, index), np.flatnonzero(~inner.reshape(-1)[index]), occupancy.cell)
 
 
 UNKNOWN_DENSITY = 0.5
@@ -104,3 +107,41 @@ def whole_support(occupancy: Occupancy) -> Occupancy:
     """The same grids with every cell of the hull sampled and none believed opaque: nothing is skipped by density."""
     densities = np.where(occupancy.support, np.float32(UNKNOWN_DENSITY), np.float32(0.0))
     return Occupancy(occupancy.cell, occupancy.origins, occupancy.dims, occupancy.first, densities, occupancy.support)
+
+
+def without_thin(occupancy: Occupancy, threshold: float) -> Occupancy:
+    """The same grids without cells whose cached density is at most ``threshold``, 1/m."""
+    if threshold == 0.0:
+        return occupancy
+    densities = np.where(occupancy.densities > threshold, occupancy.densities, np.float32(0.0))
+    return replace(occupancy, densities=densities)
+
+
+def make_coarser(occupancy: Occupancy, factor: int) -> Occupancy:
+    """Grids of larger cells, ``factor`` of the given ones along each axis: a block is as dense as its densest cell."""
+    if factor == 1:
+        return occupancy
+    dims = -(-occupancy.dims // factor)
+    return Occupancy(
+        occupancy.cell * factor, occupancy.origins, dims, np.concatenate([[0], np.cumsum(dims.prod(axis=1))]),
+        coarser_cells(occupancy.densities, occupancy, factor, np.maximum.reduce),
+        coarser_cells(occupancy.support, occupancy, factor, np.logical_or.reduce),
+    )  # fmt: skip
+
+
+def coarser_cells(
+    values: np.ndarray, occupancy: Occupancy, factor: int, take: Callable[..., np.ndarray] = np.mean
+) -> np.ndarray:
+    """Values [cells, ...] of the given grids as those of ``make_coarser``'s: ``take`` of every block of cells."""
+    if factor == 1:
+        return values
+    parts = []
+    for part, (nx, ny, nz) in enumerate(occupancy.dims):
+        own = values[occupancy.first[part] : occupancy.first[part + 1]].reshape(nz, ny, nx, -1)
+        padding = [(0, -size % factor) for size in (nz, ny, nx)]
+        padded = np.pad(own, [*padding, (0, 0)])
+        blocks = padded.reshape(
+            padded.shape[0] // factor, factor, padded.shape[1] // factor, factor, padded.shape[2] // factor, factor, -1
+        )
+        parts.append(take(blocks, axis=(1, 3, 5)).reshape(-1, *values.shape[1:]))
+    return np.ascontiguousarray(np.concatenate(parts).astype(values.dtype))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture, enlarge
+from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
 from chona_model.camera import Camera
+from chona_model.upsampling import enlarge
 
 
 def camera(width: int, height: int) -> Camera:

@@ -99,7 +99,7 @@ def test_float32_agrees_with_float64() -> None:
 def test_mixed_precision_is_refused() -> None:
     with pytest.raises(ValueError, match=r"rays are torch.float64, the model's parameters torch.float32"):
         render(small_model(dtype=torch.float32), frontal_rays(2), pose_batch(random_figure(0.5, 0)))
-    with pytest.raises(ValueError, match="covariance is 'round', expected one of warped, plain"):
+    with pytest.raises(ValueError, match="'covariance' is 'round', expected one of warped, plain"):
         render(
             small_model(),
             frontal_rays(2),

@@ -87,6 +87,11 @@ def blended_rotations(matrices: Tensor, points: Tensor, pose: Tensor, index: Vol
     return _Volume(index, pose, points.dtype).blend(points, matrices)[0]
 
 
+def warp(matrices: Tensor, points: Tensor, pose: Tensor, index: VolumeIndex) -> tuple[Tensor, Tensor]:
+    """Posed points [M, 3] of canonical ones [M, 3] of poses [M], and the map's Jacobians there [M, 3, 3]."""
+    return _Volume(index, pose, points.dtype).warp(points, matrices)
+
+
 class _Volume:
     """What every one of M points needs to interpolate in its pose's volume."""
 
