@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, Rig, make
 from chona_model.render.bounds import figure_spans
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
+from chona_model.tensor_reader import IdentityRows, TensorReader
 from chona_model.upsampling import render_scaled
 
 CONE = 2.0 / 12.0**0.5
@@ -134,12 +136,47 @@ class ExactActor:
     @classmethod
     def rebuild(
         cls, skeleton: Skeleton, persons: Mapping[str, Person], objects: Mapping[str, ObjectShape],
-        object_distance: float, shape: dict[str, Any], tensors: Mapping[str, Tensor], device: str = "cpu",
+        object_distance: float, shape: dict[str, Any], tensors: TensorReader, device: str = "cpu",
+        *, rows: IdentityRows,
     ) -> ExactActor:  # fmt: skip
-        """Inverse of ``shape`` and ``tensors``."""
-        model = ExactModel(ExactShape.from_dict(shape))
-        model.load_state_dict(dict(tensors))
+        """Inverse of ``shape`` and ``tensors``, with some of the identities.
+
+        The networks are shared; of the codes only those of the chosen are read, and without objects nothing of the
+        pseudo bones' weights.
+
+        Args:
+            persons, objects: the chosen ones; rows: their places among all that the file holds.
+        """
+        whole = ExactShape.from_dict(shape)
+        lower, upper = (
+            tuple(corners[row] for row in rows.objects) if corners else ()
+            for corners in (whole.object_lower, whole.object_upper)
+        )
+        wanted = replace(
+            whole, n_persons=len(persons), n_objects=len(objects), object_lower=lower, object_upper=upper,
+            object_slots=whole.object_slots if objects else 0,
+        )  # fmt: skip
+        model = ExactModel(wanted)
+        state = {name: _cut(tensors, name, value.shape, whole.bones) for name, value in model.state_dict().items()
+                 if not name.startswith("codes.")}  # fmt: skip
+        state["codes.persons"] = tensors.rows("codes.persons", rows.persons)
+        state["codes.objects"] = tensors.rows("codes.objects", rows.objects)
+        model.load_state_dict(state)
         return cls(model.to(device), skeleton, persons, objects, object_distance)
+
+
+def _cut(tensors: TensorReader, name: str, wanted: Sequence[int], bones: int) -> Tensor:
+    """A layer's tensor without what belongs to the pseudo bones, where the model has room for none.
+
+    Their codes and poses come last among a layer's inputs; among the weights that skinning gives they stand between the
+    bones and the background.
+    """
+    held = tensors.shape(name)
+    if held == tuple(wanted):
+        return tensors[name]
+    if held[0] != wanted[0]:
+        return tensors.rows(name, [*range(bones), held[0] - 1])
+    return tensors.columns(name, wanted[1])
 
 
 def make_rays(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
 from chona_model.camera import Camera
@@ -20,11 +20,12 @@ from chona_model.grid_device import DevicePose, make_device_pose, render_on_devi
 from chona_model.grid_inputs import Surfaces, surfaces_for
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view
-from chona_model.kernels.grid import fast
+from chona_model.kernels.grid import fast, make_layout
 from chona_model.render.occupancy import Occupancy, PartCells, make_coarser, whole_support, without_thin
 from chona_model.render.posed import depth_spans, window_of
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
+from chona_model.tensor_reader import IdentityRows, TensorReader
 from chona_model.upsampling import render_scaled
 
 TILE = 1 << 19
@@ -45,6 +46,7 @@ class GridActor:
         self.persons: Mapping[str, Person] = {person.name: person for person in model.persons}
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
+        self.extent: np.ndarray = (model.boxes[1] - model.boxes[0]).max(axis=0)
         self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
         self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
         self._double: GridActor | None = None
@@ -152,6 +154,7 @@ class GridActor:
         model = self.model
         return {
             "sizes": asdict(model.shape),
+            "extent": self.extent.tolist(),
             "parts": [
                 {"lower": lower.tolist(), "upper": upper.tolist()} for lower, upper in zip(*model.boxes, strict=True)
             ],
@@ -164,36 +167,65 @@ class GridActor:
     @classmethod
     def rebuild(
         cls, skeleton: Skeleton, persons: Mapping[str, Person], objects: Mapping[str, ObjectShape],
-        object_distance: float, shape: dict[str, Any], tensors: Mapping[str, Tensor], device: str = "cpu",
+        object_distance: float, shape: dict[str, Any], tensors: TensorReader, device: str = "cpu",
+        *, rows: IdentityRows,
     ) -> GridActor:  # fmt: skip
-        """Inverse of ``shape`` and ``tensors``."""
+        """Inverse of ``shape`` and ``tensors``, with some of the identities: nothing of the others is read.
+
+        Args:
+            persons, objects: the chosen ones; rows: their places among all that the file holds.
+        """
         sizes = GridModelShape(**{**shape["sizes"], "field": GridShape(**shape["sizes"]["field"])})
+        if not objects:
+            sizes = replace(sizes, object_slots=0)
         grids = [
             NodeGrid(
                 np.array(values["origin"]), sizes.node_cell, np.array(values["dims"]),
                 tensors[f"person.{name}.nodes"].numpy(), tensors[f"person.{name}.points"].numpy(),
             )
-            for name, values in zip(persons, shape["grids"], strict=True)
+            for name, values in zip(persons, (shape["grids"][row] for row in rows.persons), strict=True)
         ]  # fmt: skip
-        boxes = tuple(np.array([part[corner] for part in shape["parts"]]) for corner in ("lower", "upper"))
-        model = GridModel(skeleton, persons, objects, object_distance, sizes, grids, (boxes[0], boxes[1]))
+        lower, upper = (np.array([part[corner] for part in shape["parts"]]) for corner in ("lower", "upper"))
+        chosen = [*rows.persons, *(rows.of_persons + row for row in rows.objects)]
+        model = GridModel(skeleton, persons, objects, object_distance, sizes, grids, (lower[chosen], upper[chosen]))
         actor = cls(model)
-        with torch.no_grad():
-            for part, identity in enumerate(actor._identities()):
-                model.field.table[part] = tensors[f"{identity}.table"]
-                begin, end = model.occupancy.first[part], model.occupancy.first[part + 1]
-                model.occupancy.densities[begin:end] = tensors[f"{identity}.density"].numpy()
-                model.occupancy.support[begin:end] = tensors[f"{identity}.support"].numpy()
-            own = {name[6:]: value for name, value in tensors.items() if name.startswith("field.")}
-            model.field.load_state_dict(own, strict=False)
-            model.field.person_codes.copy_(tensors["codes.persons"])
-            model.field.object_codes.copy_(tensors["codes.objects"])
-            for index, name in enumerate(persons):
-                prefix = f"person.{name}.skin."
-                skin = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
-                model.volumes[index].load_state_dict(skin)
+        # Every part's table is laid out over the largest box of all that were trained together.
+        actor.extent = np.array(shape.get("extent", (upper - lower).max(axis=0)))
+        model.field.layout = make_layout(
+            actor.extent, sizes.field.coarsest, sizes.field.finest, sizes.field.levels, 1 << sizes.field.rows
+        )
+        actor._take(tensors, rows)
         model.to(device)
         return actor
+
+    @torch.no_grad()
+    def _take(self, tensors: TensorReader, rows: IdentityRows) -> None:
+        """Fills the model with the tensors of its identities."""
+        model, field, occupancy = self.model, self.model.field, self.model.occupancy
+        for part, identity in enumerate(self._identities()):
+            field.table[part] = tensors[f"{identity}.table"]
+            begin, end = occupancy.first[part], occupancy.first[part + 1]
+            occupancy.densities[begin:end] = tensors[f"{identity}.density"].numpy()
+            occupancy.support[begin:end] = tensors[f"{identity}.support"].numpy()
+        # The last numbers of a pose code are the pseudo bones': without objects nothing is kept of their weights.
+        cut = {"pose_in.weight", "offset_mix.0.weight"}
+
+        def own(prefix: str) -> dict[str, Tensor]:
+            return {
+                name: tensors.columns(prefix + name, model.code_size) if name in cut else tensors[prefix + name]
+                for name in tensors.under(prefix)
+            }
+
+        field.load_state_dict(own("field."), strict=False)
+        field.person_codes = nn.Parameter(_codes(tensors, "codes.persons", rows.persons))
+        field.object_codes = nn.Parameter(_codes(tensors, "codes.objects", rows.objects))
+        for index, name in enumerate(self.persons):
+            model.volumes[index].load_state_dict(own(f"person.{name}.skin."))
+
+
+def _codes(tensors: TensorReader, name: str, rows: Sequence[int]) -> Tensor:
+    """Identity codes; where there is no identity, the zeros that an absent one has."""
+    return tensors.rows(name, rows) if rows else torch.zeros(1, tensors.shape(name)[1])
 
 
 def _fill(picture: Picture, view: View) -> None:

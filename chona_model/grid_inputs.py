@@ -63,15 +63,16 @@ def occupied_cells(occupancy: Occupancy) -> np.ndarray:
 def parts_of(
     model: GridModel, posed: PosedFigure, occupancy: Occupancy, surfaces: Surfaces, light: np.ndarray
 ) -> advance.Parts:
-    """The parts that a pose shows, where they are and how they are lit.
+    """The parts that a pose shows, where they are and how they are lit; empty object slots are not among them.
 
     Args:
         light: [9, 3] of the pose (see ``GridModel.root_light``).
     """
+    shown = len(posed.objects)
     return advance.Parts(
         surfaces.occupied, occupancy.first, occupancy.dims, occupancy.origins, np.float32(1 / occupancy.cell),
-        surfaces.normals, light, posed.person, model.slot_parts(posed),
-        np.ascontiguousarray(posed.slots).reshape(model.shape.object_slots, 3, 4),
+        surfaces.normals, light, posed.person, model.slot_parts(posed)[:shown],
+        np.ascontiguousarray(posed.slots[:shown]),
     )  # fmt: skip
 
 

@@ -25,13 +25,13 @@ FLOORS = (
     ("grid_model", "exact"),
     ("render", "exact_shape"),
     ("upsampling", "adaptive"),
-    ("actor",),
+    ("actor", "tensor_reader"),
     ("deform",),
     ("data",),
     ("field", "figure"),
     ("skeleton", "camera"),
     ("kernels",),
-    ("settings", "geometry", "progress", "process", "arguments"),
+    ("settings", "geometry", "passes", "progress", "process", "arguments"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

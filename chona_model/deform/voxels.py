@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from chona_model.data.dataset import SkinnedSurface
+from chona_model.field.present import linear_of_present
 from chona_model.skeleton import Skeleton
 
 LOGIT_FLOOR = 1e-4
@@ -28,6 +29,11 @@ NEIGHBOURS = 6
 
 BONE_SOFTNESS = 0.03
 """Where no surface is known, initial weights fall off with distance to the bones over this length, metres."""
+
+
+REST = 5e-7
+"""A bone is at rest where no number of its transform is farther than this from the identity's: what rounding in float32
+leaves of it, which is what rigs are posed in.  A point 2 m from the root is moved by less than 2 µm."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,7 @@ class SkinningVolume(nn.Module):
         count = len(grid.points)
         self.logits = nn.Parameter(torch.zeros(count, bones))
         self.rendering_weights: Tensor | None = None
+        self._some: tuple[Tensor, Tensor, Tensor] | None = None
         self.offset_rank = offset_rank
         if offset_rank:
             self.offset_shapes = nn.Parameter(torch.zeros(count, offset_rank, 3))
@@ -131,7 +138,12 @@ class SkinningVolume(nn.Module):
         """[P, M, 3] metres, or None for a volume without offset."""
         if not self.offset_rank:
             return None
-        return torch.einsum("pk,mkc->pmc", self.offset_mix(pose_codes), self.offset_shapes)
+        into, *rest = self.offset_mix
+        assert isinstance(into, nn.Linear)
+        mix = linear_of_present(into, pose_codes)
+        for layer in rest:
+            mix = layer(mix)
+        return torch.einsum("pk,mkc->pmc", mix, self.offset_shapes)
 
     def blend(self, transforms: Tensor, pose_codes: Tensor | None) -> Tensor:
         """The paper's (Σ_j w_j T_j) with F_Δ in the last column, rows padded to a cache line: [P, M, 16].
@@ -149,20 +161,43 @@ class SkinningVolume(nn.Module):
             matrices = matrices + columns.reshape(poses, -1, 16)
         return matrices
 
+    def _weights_of(self, bones: Tensor) -> Tensor:
+        """[M, K + 1] weights of K bones and ones; kept for as long as the same bones are asked for."""
+        if self.rendering_weights is None:
+            self.rendering_weights = self.weights().detach()
+        if self._some is None or self._some[0] is not self.rendering_weights or not torch.equal(self._some[1], bones):
+            chosen = torch.nn.functional.pad(self.rendering_weights[:, bones], (0, 1), value=1.0)
+            self._some = self.rendering_weights, bones, chosen
+        return self._some[2]
+
     def blend_padded(self, transforms: Tensor, pose_codes: Tensor | None) -> Tensor:
-        """``blend`` of one pose for rendering: [M, 16]; no gradients.
+        """``blend`` of one pose for rendering: [M, 16]; no gradients. Bones at rest are folded into the identity.
 
         Args:
             transforms: [B, 4, 4] canonical to root space.
             pose_codes: [1, C], or None to leave the offset out.
         """
-        if self.rendering_weights is None:
-            self.rendering_weights = self.weights().detach()
-        matrices = self.rendering_weights @ transforms.reshape(-1, 16)
+        away, moving = moving_bones(transforms)
+        still = torch.eye(4, dtype=away.dtype, device=away.device).reshape(1, 16)
+        if len(moving) == 0:
+            matrices = still.repeat(len(self.logits), 1)
+        else:
+            # Weights sum to one: Σ w T = I + Σ w (T − I), where a bone at rest adds nothing.
+            matrices = self._weights_of(moving) @ torch.cat([away[moving], still])
         offset = None if pose_codes is None else self.offset(pose_codes)
         if offset is not None:
             matrices[:, 3:12:4] += offset[0]
         return matrices
+
+
+def moving_bones(transforms: Tensor) -> tuple[Tensor, Tensor]:
+    """What transforms [B, 4, 4] of bones, canonical to root space, are beyond the identity.
+
+    Returns:
+        [B, 16], and the indices [K] int64 of the bones that are not at rest.
+    """
+    away = (transforms - torch.eye(4, dtype=transforms.dtype, device=transforms.device)).reshape(-1, 16)
+    return away, (away.abs().amax(dim=1) > REST).nonzero()[:, 0]
 
 
 def bone_nodes(grid: NodeGrid, skeleton: Skeleton, rest_joints: np.ndarray, per_bone: int = 5) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
 from chona_model.field.light import COEFFICIENTS
+from chona_model.field.present import linear_of_present
 from chona_model.kernels.compiled import compiles, fused_field
 from chona_model.kernels.cpu.simd import LANES
 from chona_model.kernels.grid import FEATURES, GridLayout, TableGradient, encode, make_layout
@@ -126,7 +127,7 @@ class GridField(nn.Module):
         features = self.shape.features
         shade = None
         if pose_codes is not None:
-            pose = torch.tanh(self.pose_in(pose_codes))
+            pose = torch.tanh(linear_of_present(self.pose_in, pose_codes))
             shade = pose @ self.shade_in.weight[:, features:].T + self.shade_in.bias
         return FieldWeights(
             self.density_in.weight, self.density_in.bias + self.density_code(codes), self.density_out.weight,

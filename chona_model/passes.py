@@ -1,0 +1,50 @@
+"""Which passes of a picture are wanted: what is not asked for is neither computed nor written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+PASSES = ("combined", "depth", "mattes", "confidence")
+"""Every pass by name, in the order of a baked frame's layers."""
+
+
+class PassError(ValueError):
+    """A pass that there is none of: the message says what was given and what there is."""
+
+
+@dataclass(frozen=True)
+class Passes:
+    """What a baked frame has besides its colours and alpha, which it always has.
+
+    Attributes:
+        depth: metres along the camera axis.
+        mattes: which share of a pixel is the person, which an object.
+        confidence: share of samples whose inverse skinning converged.
+    """
+
+    depth: bool = True
+    mattes: bool = True
+    confidence: bool = True
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> Passes:
+        """Of names out of ``PASSES``; ``combined`` may be left out.
+
+        Raises:
+            PassError: a name is unknown.
+        """
+        unknown = [name for name in names if name not in PASSES]
+        if unknown:
+            raise PassError(f"there is no pass '{unknown[0]}'; expected some of {', '.join(PASSES)}")
+        return cls(*(name in names for name in PASSES[1:]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The passes that are wanted, in the order of ``PASSES``."""
+        return tuple(name for name in PASSES if name == "combined" or getattr(self, name))
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The passes that are not."""
+        return tuple(name for name in PASSES if name not in self.names)
