@@ -49,7 +49,7 @@ def bake(
         ModelFileError: the model cannot be loaded.  OSError: the folder cannot be written to.
     """
     content = read_shot(shot)
-    chosen = _choose(content, frames)
+    chosen = choose_frames(content, frames)
     actor = load_actor(model, device)
     check_actors(content, actor)
     settings, digest = RENDER_PRESETS[preset], file_hash(model)
@@ -149,7 +149,8 @@ def frame_hash(shot: Shot, index: int, settings: RenderSettings) -> str:
     return digest.hexdigest()
 
 
-def _choose(shot: Shot, frames: Sequence[int] | None) -> list[int]:
+def choose_frames(shot: Shot, frames: Sequence[int] | None) -> list[int]:
+    """Places in the shot of the frames asked for; ``ShotError`` where one is not in it. None: all."""
     if frames is None:
         return list(range(len(shot)))
     place = {int(frame): index for index, frame in enumerate(shot.frames)}

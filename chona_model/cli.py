@@ -44,6 +44,7 @@ LATER_METHODS = ("object-translation", "tava", "arah", "arah-object")
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
+_PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
 NAMED_SEQUENCES = 20
 """So many sequences are named in a model's statement of its training data; of more, the number."""
 
@@ -133,7 +134,7 @@ def make_parser() -> Parser:
     evaluate = add("evaluate", _evaluate, "measure a model on views it has not seen", long=True)
     evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")
     _add_sources(evaluate, "repeat it to measure on several")
-    evaluate.add_argument("--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"default: {DEFAULT_PRESET}")
+    evaluate.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
     evaluate.add_argument("--save-images", type=Path, metavar="DIR", help="folder for predictions and targets")
     evaluate.add_argument("--json", type=Path, required=True, metavar="FILE", help="the measurements")
 
@@ -142,8 +143,28 @@ def make_parser() -> Parser:
     bake.add_argument("--shot", type=Path, required=True, metavar="FILE")
     bake.add_argument("--out", type=Path, required=True, metavar="DIR")
     bake.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
-    bake.add_argument("--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"default: {DEFAULT_PRESET}")
+    bake.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
     bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
+
+    trade = add("trade", _trade, "measure what speed costs with a model, and find the best settings", long=True)
+    trade.add_argument("--model", type=Path, required=True, metavar="FILE")
+    _add_sources(trade, "views that training did not see; repeat it to measure on several")
+    trade.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for trade.json and trade.png")
+    trade.add_argument("--full", action="store_true", help="every value of every setting (default: some, 3 minutes)")
+    trade.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to measure")
+    trade.add_argument(
+        "--seconds-per-frame", type=number(0, above=True), metavar="S", help="find the most accurate within this time"
+    )
+    trade.add_argument("--psnr", type=number(0, above=True), metavar="DB", help="find the fastest above this quality")
+    trade.add_argument("--save-preset", metavar="NAME", help="save what was found as a preset of yours")
+    trade.add_argument("--no-save", action="store_true", help="leave the model file as it is")
+
+    estimate = add("estimate", _estimate, "say what baking a shot will take on this computer", long=True)
+    estimate.add_argument("--model", type=Path, required=True, metavar="FILE")
+    estimate.add_argument("--shot", type=Path, metavar="FILE", help="default: the view the model was measured on")
+    estimate.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
+    estimate.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=f"to calibrate with; {_PRESET_HELP}")
+    estimate.add_argument("--seconds", type=number(0, 600, above=True), default=2.0, metavar="S", help="of calibration")
 
     served = add("serve", _serve, "stay up and render poses that come in on standard input (for the add-on's previews)")
     served.add_argument("--model", type=Path, required=True, metavar="FILE")
@@ -248,6 +269,66 @@ def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
     )  # fmt: skip
     words = f"{report.written} frames written, {report.skipped} were up to date, {report.seconds:.1f} s: {out}"
     return _finish(progress, words, written=report.written, skipped=report.skipped, seconds=report.seconds)
+
+
+def _trade(arguments: argparse.Namespace, progress: Progress) -> int:
+    from chona_model.formats.model_file import read_header
+
+    sources_of(arguments.sources)
+    read_header(arguments.model)
+    out = writable_folder(arguments.out, "--out")
+    if arguments.save_preset is not None and arguments.seconds_per_frame is None and arguments.psnr is None:
+        raise UsageError(
+            f"--save-preset is '{arguments.save_preset}', but nothing was asked for; say what the preset must "
+            "reach with --seconds-per-frame or --psnr"
+        )
+    if not arguments.no_save:
+        writable_file(arguments.model, "--model (or use --no-save)")
+    dataset, _ = _open(arguments)
+    progress.check()
+    device = resolve_device(arguments.device)
+    from chona_model.trade.report import table
+    from chona_model.trade.run import TradeRun, measure_trade
+
+    run = TradeRun(
+        arguments.minutes, arguments.full, arguments.image_scale, arguments.seconds_per_frame, arguments.psnr,
+        arguments.save_preset, not arguments.no_save, device,
+    )  # fmt: skip
+    trade = measure_trade(arguments.model, dataset, out, run, progress)
+    rows = list(trade.presets.items()) + ([("chosen", trade.chosen)] if trade.chosen else [])
+    files = {"json": str(out / "trade.json"), "plot": str(out / "trade.png")}
+    return _finish(progress, f"{table(rows)}wrote {files['json']} and {files['plot']}", **files)
+
+
+def _estimate(arguments: argparse.Namespace, progress: Progress) -> int:
+    from chona_model.formats.model_file import read_header
+    from chona_model.formats.shot import read_shot
+
+    header = read_header(arguments.model)
+    if arguments.shot is None and header.trade is None:
+        raise UsageError(
+            f"{arguments.model} was not measured yet, so there is no view to calibrate on; give a --shot, or measure "
+            "the model with 'chona trade'"
+        )
+    device = resolve_device(arguments.device)
+    from chona_model.bake import check_actors, choose_frames
+    from chona_model.model_store import load_actor
+    from chona_model.trade.estimate import estimate, reference_shot
+
+    progress.check()
+    progress.start("estimate", arguments.seconds, unit="s")
+    actor = load_actor(arguments.model, device)
+    names = header.skeleton.names
+    shot = reference_shot(header.trade or {}, names) if arguments.shot is None else read_shot(arguments.shot)
+    check_actors(shot, actor)
+    frames = choose_frames(shot, arguments.frames)
+    found = estimate(actor, shot, frames, header.trade, arguments.preset, arguments.seconds)
+    lines = [
+        f"{name}: {'' if each.psnr is None else f'{each.psnr:.1f} dB, '}{each.seconds_per_frame:.2f} s a frame here; "
+        f"{found.frames} frame{'s' * (found.frames > 1)} ≈ {each.total_seconds:.0f} s"
+        for name, each in found.presets.items()
+    ]
+    return _finish(progress, "\n".join(lines), **found.as_dict())
 
 
 def _serve(arguments: argparse.Namespace, _progress: Progress) -> int:

@@ -43,13 +43,13 @@ def render_scaled(
 def uncertain(small: Picture, camera: Camera) -> np.ndarray:
     """[H, W] bool at ``camera``'s size: pixels between small ones that differ by more than ``DIFFERS``."""
     differs = np.zeros(small.alpha.shape, dtype=bool)
-    for channel in (*np.moveaxis(small.rgb, -1, 0), small.alpha, small.object):
+    channels: list[np.ndarray] = [*np.moveaxis(small.rgb, -1, 0), small.alpha, small.object]
+    for channel in channels:
         low, high = ndimage.minimum_filter(channel, 3), ndimage.maximum_filter(channel, 3)
         differs |= high - low > DIFFERS
-    rows, columns = (
-        np.minimum(np.arange(size) * own // size, own - 1)
-        for size, own in zip((camera.height, camera.width), differs.shape, strict=True)
-    )
+    height, width = small.alpha.shape
+    rows = np.arange(camera.height) * height // camera.height
+    columns = np.arange(camera.width) * width // camera.width
     return differs[np.ix_(rows, columns)]
 
 

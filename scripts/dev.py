@@ -88,9 +88,7 @@ def demo(words: list[str]) -> None:
 def bench(words: list[str]) -> None:
     """Speed, and what it costs: ``benchmarks/results``. Of the demo's capture, or of what ``words`` name."""
     environment()
-    python = program(ENV, "python")
-    run(python, "-m", "pip", "install", "--quiet", "--constraint", "constraints.txt", "--editable", ".[bench]")
-    run(python, "-m", "benchmarks", *words)
+    run(program(ENV, "python"), "-m", "benchmarks", *words)
 
 
 def extension() -> None:

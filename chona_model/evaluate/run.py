@@ -20,8 +20,8 @@ from chona_model.evaluate.metrics import score
 from chona_model.formats.atomic import atomic_path, write_bytes
 from chona_model.formats.model_file import file_hash
 from chona_model.model_store import load_actor
+from chona_model.presets import find_preset
 from chona_model.progress import Progress
-from chona_model.settings import RENDER_PRESETS
 
 METRICS = ("psnr", "ssim", "psnr_box", "ssim_box", "seconds", "rays_per_second", "failed_share")
 
@@ -46,8 +46,8 @@ def evaluate(
     views = dataset.views
     if not views:
         raise DatasetError("there is not one view to evaluate; check the folder and --sequences with check-data")
-    _check_identities(dataset, actor.persons, actor.objects)
-    settings = RENDER_PRESETS[preset]
+    check_identities(dataset, actor.persons, actor.objects)
+    settings = find_preset(preset)
     actor.render(views[0].pose, views[0].camera.scaled(image_scale), settings)
     images: list[dict[str, Any]] = []
     progress.start("evaluate", len(views), unit="view")
@@ -88,7 +88,7 @@ def evaluate(
     return report
 
 
-def _check_identities(dataset: Dataset, persons: Any, objects: Any) -> None:
+def check_identities(dataset: Dataset, persons: Any, objects: Any) -> None:
     for kind, used, known in (("person", dataset.persons, persons), ("object", dataset.objects, objects)):
         unknown = sorted(set(used) - set(known))
         if unknown:

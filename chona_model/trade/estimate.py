@@ -1,0 +1,171 @@
+"""``chona estimate``: what baking a shot will take on this computer, from what was measured of the model.
+
+A few of the shot's frames are rendered for two seconds. How they compare with the costs in the model file says how fast
+this computer is; how many rays the shot's frames need, which takes milliseconds to count, says the rest.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+
+from chona_model.actor import Actor
+from chona_model.bake import FrameHeader, render_frame, write_frame
+from chona_model.formats.shot import Shot, ShotActor
+from chona_model.presets import find_preset
+from chona_model.settings import PRESETS, RenderSettings
+from chona_model.trade.cost import Cost, fit_cost
+
+SECONDS = 2.0
+"""How long a calibration renders."""
+
+COUNTED = 12
+"""Frames of a shot whose rays are counted."""
+
+SMALL = (0.125, 0.25)
+"""Sizes at which a preset is timed whose costs the model file does not know."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a preset will take.
+
+    Attributes:
+        seconds_per_frame: rendered and written, on average over the shot.
+        total_seconds: of the whole bake, its start included.
+        psnr, ssim: on views that training did not see; None where nobody measured.
+    """
+
+    seconds_per_frame: float
+    total_seconds: float
+    psnr: float | None
+    ssim: float | None
+
+
+@dataclass(frozen=True)
+class ShotEstimate:
+    """Estimates by preset.
+
+    Attributes:
+        presets: by name; frames: how many the bake has.
+        factor: how many times as long this computer takes as the one the model was measured on; None where nobody
+            measured.
+        start_seconds: until a worker renders its first frame; write_seconds: of writing a frame.
+    """
+
+    presets: dict[str, Estimate]
+    frames: int
+    factor: float | None
+    start_seconds: float
+    write_seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def estimate(
+    actor: Actor, shot: Shot, indices: Sequence[int], trade: Mapping[str, Any] | None, preset: str,
+    seconds: float = SECONDS,
+) -> ShotEstimate:  # fmt: skip
+    """Estimates every preset's time for frames ``indices`` of a shot.
+
+    Args:
+        trade: the model's (``ModelHeader.trade``), or None.
+        preset: the calibration renders with; the estimate of it is the best.
+
+    Raises:
+        SettingsError: an unknown preset.  KeyError: the shot shows what the model does not know.
+    """
+    started = time.process_time()  # a start is all the processor has done so far: imports and the model
+    names = list(dict.fromkeys([*PRESETS, preset]))
+    settings = {name: find_preset(name) for name in names}
+    known = {} if trade is None else trade["presets"]
+    chosen = [indices[place] for place in np.linspace(0, len(indices) - 1, min(COUNTED, len(indices))).astype(int)]
+    costs = {
+        name: Cost(known[name]["fixed_seconds"], known[name]["seconds_per_ray"])
+        if name in known
+        else _time_small(actor, shot, chosen[len(chosen) // 2], settings[name])
+        for name in names
+    }
+    counted = {name: [_rays(actor, shot, index, settings[name]) for index in chosen] for name in names}
+    factor, write = _calibrate(actor, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
+    presets = {}
+    for name in names:
+        frame = factor * fmean(costs[name].seconds(rays) for rays in counted[name]) + write
+        presets[name] = Estimate(
+            frame, started + frame * len(indices), known.get(name, {}).get("psnr"), known.get(name, {}).get("ssim")
+        )
+    return ShotEstimate(presets, len(indices), factor if preset in known else None, started, write)
+
+
+def _rays(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> int:
+    return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for member in shot.actors)
+
+
+def _calibrate(
+    actor: Actor, shot: Shot, chosen: Sequence[int], settings: RenderSettings, cost: Cost, rays: Sequence[int],
+    seconds: float,
+) -> tuple[float, float]:  # fmt: skip
+    """How many times as long as ``cost`` says frames take here, and how long one takes to be written."""
+    layers = render_frame(actor, shot, chosen[0], settings)  # loads kernels
+    actor.forget_poses()
+    ratios: list[float] = []
+    began = time.perf_counter()
+    for turn in range(len(chosen) * 1000):
+        place = turn % len(chosen)
+        start = time.perf_counter()
+        layers = render_frame(actor, shot, chosen[place], settings)
+        actor.forget_poses()
+        ratios.append((time.perf_counter() - start) / max(cost.seconds(rays[place]), 1e-6))
+        if time.perf_counter() - began > seconds:
+            break
+    with tempfile.TemporaryDirectory(prefix="chona-") as folder:
+        times = []
+        for number in range(3):
+            start = time.perf_counter()
+            write_frame(Path(folder) / f"{number}.exr", layers, FrameHeader("", "", "", "{}", 0.0, 0))
+            times.append(time.perf_counter() - start)
+    return median(ratios), median(times)
+
+
+def _time_small(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> Cost:
+    """Costs of a preset nobody measured, from small pictures of one frame."""
+    rays, seconds = [], []
+    for scale in (SMALL[0], *SMALL):  # the first loads kernels and does not count
+        camera = shot.camera(index).scaled(scale)
+        actor.forget_poses()
+        start = time.perf_counter()
+        pictures = [actor.render(member.pose(index), camera, settings) for member in shot.actors]
+        seconds.append(time.perf_counter() - start)
+        rays.append(sum(picture.rays for picture in pictures) * settings.supersampling**2)
+    return fit_cost(rays[1:], seconds[1:])
+
+
+def reference_shot(trade: Mapping[str, Any], bones: Sequence[str]) -> Shot:
+    """The view that a model's trade was measured on first, for calibrations without a shot.
+
+    Args:
+        bones: names of the model's.
+
+    Raises:
+        ShotError: the view is none; the model file was changed by another program.
+    """
+    view = trade["reference"]
+    matrices = np.array(view["world_from_bone"] or np.zeros((0, 4, 4)), dtype=np.float64)
+    things = np.array(view["world_from_object"], dtype=np.float64).reshape(-1, 4, 4)
+    actor = ShotActor(
+        "reference", view["person"], tuple(view["objects"]), tuple(bones) if view["person"] else (), matrices[None],
+        things[None],
+    )  # fmt: skip
+    return Shot(
+        "reference", 24.0, view["width"], view["height"], view["kind"], np.zeros(1, np.int64),
+        np.array(view["intrinsics"])[None], np.array(view["world_from_camera"])[None], np.array([[0.0, 1e6]]), (actor,),
+    )  # fmt: skip
