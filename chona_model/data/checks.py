@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View, load_pixels
+from chona_model.data.soundness import check_view
 from chona_model.skeleton import Skeleton
 
 SLACK = 0.02
@@ -152,6 +153,7 @@ def _spread(views: Sequence[View], count: int) -> list[View]:
 
 
 def _look(dataset: Dataset, view: View, tally: _Tally, draw: bool) -> None:
+    check_view(dataset, view)
     pixels = load_pixels(view)
     height, width = pixels.mask.shape
     if view.pose.person is not None:

@@ -142,14 +142,24 @@ MASK_THRESHOLD = 127
 """Masks are 8-bit and may be JPEG (BEHAVE): anything above is inside."""
 
 
+WIDE_MODES = ("I", "F")
+"""Pillow's modes of 16-bit, 32-bit and floating point samples."""
+
+
 def read_image(path: Path, mode: str) -> np.ndarray:
     """An 8-bit image as a uint8 array, whole or not at all.
 
     Raises:
-        DatasetError: the file is missing, truncated or no image.
+        DatasetError: the file is missing, truncated, no image, or of more than 8 bits a channel.
     """
     try:
         with Image.open(path) as image:
+            # Pillow clips wider samples to 0…255 without a word: 16 bits turn white, NaN turns black.
+            if image.mode.startswith(WIDE_MODES):
+                raise DatasetError(
+                    f"{path} holds wide samples (Pillow's mode {image.mode}), expected 8 bits a channel; convert it, "
+                    "with 65535 or 1.0 becoming 255"
+                )
             return np.asarray(image.convert(mode))
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise DatasetError(

@@ -15,6 +15,9 @@ from chona_model.formats.model_file import ModelFileError, read_metadata
 
 NAME = "checkpoint.safetensors"
 
+LONGEST = 200
+"""Characters that a message gives to one setting: a run may have hundreds of sequences."""
+
 
 class CheckpointError(ValueError):
     """A checkpoint that cannot be continued."""
@@ -44,8 +47,13 @@ def load_checkpoint(run: Path, settings: dict[str, Any]) -> tuple[dict[str, Tens
         raise CheckpointError(f"cannot continue from {path}: {error}; train without --resume to start anew") from error
     differing = sorted(key for key in settings if saved.get(key) != settings[key])
     if differing:
-        told = "; ".join(f"{key} was {saved.get(key)}, is {settings[key]}" for key in differing)
+        told = "; ".join(f"{key} was {_short(saved.get(key))}, is {_short(settings[key])}" for key in differing)
         raise CheckpointError(
             f"{path} belongs to a run with other settings ({told}); give the same ones, or train without --resume"
         )
     return state, position
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from chona_model.camera import Camera
 from chona_model.data.dataset import Dataset, DatasetError
+from chona_model.data.soundness import check_dataset
 from chona_model.deform.initialise import initialise_from_bones, initialise_from_surface
 from chona_model.exact import ExactModel
 from chona_model.exact_actor import ExactActor, make_rays
@@ -19,7 +20,8 @@ from chona_model.figure import Figure, PoseBatch, object_places
 from chona_model.render.bounds import figure_spans
 from chona_model.render.rays import take_rays
 from chona_model.settings import PREDICTED, ExactSettings, InverseSettings
-from chona_model.train.errors import TrainingError
+from chona_model.train.adam_state import adam_tensors, restore_adam
+from chona_model.train.errors import TrainingError, decibels, loss_not_finite
 from chona_model.train.objects import object_distance
 from chona_model.train.pixels import PoseViews, group_by_pose
 
@@ -78,13 +80,14 @@ class ExactTrainer:
         method: ``chona``, or ``no-cil`` to leave compositional invariant learning out.
 
     Raises:
-        DatasetError: no view shows the figure.
+        DatasetError: no views, numbers that are not finite, or no view shows the figure.
     """
 
     def __init__(
         self, dataset: Dataset, settings: PaperSettings, seed: int, device: str = "cpu", image_scale: float = 1.0,
         method: str = "chona", shape: ExactShape | None = None,
     ) -> None:  # fmt: skip
+        check_dataset(dataset)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
         self.rays = max(MIN_RAYS, round(settings.rays * image_scale**2))
@@ -179,40 +182,38 @@ class ExactTrainer:
             terms = result.regularisers
             loss = image_loss + settings.weight_loss * terms["weights"] + settings.offset_loss * terms["offset"]
             if not torch.isfinite(loss):
-                raise TrainingError(
-                    f"the loss of step {index} is {float(loss.detach())}; look for images with values that are not "
-                    "finite, or train with a smaller rate; the last checkpoint is intact"
-                )
+                raise TrainingError(loss_not_finite(index, float(loss.detach()), self.rates))
             (fraction * loss).backward()
             total += fraction * float(loss.detach())
             image_total += fraction * float(image_loss.detach())
         for group in self.optimiser.param_groups:
             group["lr"] = settings.first_rate * (settings.last_rate / settings.first_rate) ** min(share, 1.0)
         self.optimiser.step()
-        return {"loss": total, "psnr": float(-10.0 * np.log10(max(image_total, 1e-10)))}
+        return {"loss": total, "psnr": decibels(image_total), "empty_psnr": decibels(float((target**2).mean()))}
 
     def actor(self) -> ExactActor:
         """The model as it is now."""
         return self._actor
 
+    @property
+    def rates(self) -> str:
+        """The rates it was told, in words."""
+        return f"first_rate {self.settings.first_rate:g}"
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything that later steps depend on, by name; not copied."""
+        model = {f"model.{name}": value for name, value in self._actor.model.state_dict().items()}
+        return model | adam_tensors(self.optimiser)
+
     def state(self) -> dict[str, Tensor]:
-        """Everything that later steps depend on."""
-        state = {f"model.{name}": value for name, value in self._actor.model.state_dict().items()}
-        for number, values in self.optimiser.state_dict()["state"].items():
-            state |= {f"adam.{number}.{name}": value for name, value in values.items()}
-        return {name: value.detach().clone().contiguous() for name, value in state.items()}
+        """A copy of ``tensors``."""
+        return {name: value.detach().clone().contiguous() for name, value in self.tensors().items()}
 
     def restore(self, state: dict[str, Tensor], done: int) -> None:  # noqa: ARG002 - the loop's interface
         """Continues from ``state``."""
         model = {name.removeprefix("model."): value for name, value in state.items() if name.startswith("model.")}
         self._actor.model.load_state_dict(model)
-        adam: dict[int, dict[str, Tensor]] = {}
-        for name, value in state.items():
-            if name.startswith("adam."):
-                _, number, key = name.split(".")
-                adam.setdefault(int(number), {})[key] = value
-        groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": adam, "param_groups": groups})
+        restore_adam(self.optimiser, state)
 
 
 def make_shape(dataset: Dataset, distance: float) -> ExactShape:

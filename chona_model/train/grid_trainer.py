@@ -9,21 +9,21 @@ import torch
 from torch import Tensor
 
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person
+from chona_model.data.soundness import check_dataset
 from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
 from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
-from chona_model.kernels.cpu.adam import adam_rows
 from chona_model.kernels.cpu.advance import Starts
-from chona_model.kernels.grid import FEATURES, fast
-from chona_model.kernels.threads import in_pieces
+from chona_model.kernels.grid import fast
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.posed import PosedPart
 from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
-from chona_model.train.errors import TrainingError
+from chona_model.train.errors import TrainingError, decibels, density_not_finite, likely_causes, loss_not_finite
 from chona_model.train.fast_settings import FastSettings
+from chona_model.train.grid_optimiser import GridOptimiser
 from chona_model.train.hull import carve_hull
 from chona_model.train.objects import object_distance
 from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
@@ -39,12 +39,6 @@ def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
 KEPT_MATRICES = 64
 """Poses whose blended matrices are kept: two megabytes each."""
 
-ADAM_PIECE = 1 << 17
-"""Rows of the tables that a thread updates at once."""
-
-BETAS = (0.9, 0.99)
-EPSILON = 1e-15
-
 
 class GridTrainer:
     """Owns a model, its optimisers and the training pixels.
@@ -58,15 +52,14 @@ class GridTrainer:
         device, dtype: float32 on the CPU is for the fused kernels; anything else takes the stages of tensors.
 
     Raises:
-        DatasetError: no views, or nothing of them inside the masks' visual hull.
+        DatasetError: no views, numbers that are not finite, or nothing inside the masks' visual hull.
     """
 
     def __init__(
         self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0, method: str = "chona",
         shape: GridModelShape | None = None, device: str = "cpu", dtype: torch.dtype = torch.float32,
     ) -> None:  # fmt: skip
-        if not dataset.views:
-            raise DatasetError("there is not one view to train on; check the folder and --sequences with check-data")
+        check_dataset(dataset)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
         slots = max((len(view.pose.objects) for view in dataset.views), default=0)
@@ -86,7 +79,9 @@ class GridTrainer:
         self.model.to(device=device, dtype=dtype)
         self.fused = fast(self.model.field.lower)
         self._rebuild()
-        self._make_optimisers()
+        if len(self.usable) == 0:
+            raise DatasetError("no view shows the figure; check cameras and poses with 'chona check-data'")
+        self.optimiser = GridOptimiser(self.model, settings, self.fused)
         self.bones = [
             bone_nodes(self.model.grid(index), dataset.skeleton, person.rest_joints)
             for index, person in enumerate(self.model.persons)
@@ -96,29 +91,12 @@ class GridTrainer:
         identities: list[Person | ObjectShape] = [*self.model.persons, *self.model.objects]
         return [(item, len(self.model.occupancy.occupied(part))) for part, item in enumerate(identities)]
 
-    def _make_optimisers(self) -> None:
-        field, volumes, settings = self.model.field, self.model.volumes, self.settings
-        perceptrons = [value for name, value in field.named_parameters() if name not in {"table", "light"}]
-        logits = [value for name, value in volumes.named_parameters() if name.endswith("logits")]
-        offsets = [value for name, value in volumes.named_parameters() if "offset" in name]
-        groups = [
-            {"params": perceptrons, "lr": settings.mlp_rate},
-            {"params": [field.light], "lr": settings.light_rate},
-            {"params": logits, "lr": settings.skin_rate},
-            {"params": offsets, "lr": settings.offset_rate},
-        ]
-        if not self.fused:
-            groups.append({"params": [field.table], "lr": settings.grid_rate})
-        self.rates = [float(group["lr"]) for group in groups if group["params"]]  # type: ignore[arg-type]
-        self.optimiser = torch.optim.Adam(
-            [group for group in groups if group["params"]], betas=BETAS, eps=EPSILON, fused=True
-        )
-        moments = field.table.shape if self.fused else (0,)
-        self.mean, self.square = (np.zeros(moments, dtype=np.float32) for _ in range(2))
-
     def _rebuild(self) -> None:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
         self.built_from = {name: value.detach().clone() for name, value in self.model.volumes.state_dict().items()}
+        if not all(bool(torch.isfinite(value).all()) for value in self.built_from.values()):
+            # A cell that is posed at NaN would be written anywhere in memory.
+            raise TrainingError(f"the skinning is not finite any more; {likely_causes(self.rates)}")
         self.built_from["densities"] = torch.from_numpy(self.model.occupancy.densities.copy())
         cells = self.model.cells(self.model.occupancy)
         parts = [self.model.pose_cells(pose, cells) for pose in self.posed]
@@ -137,7 +115,7 @@ class GridTrainer:
             share: how much of the schedule is done, 0…1.
 
         Returns:
-            ``loss`` and ``psnr`` of the batch.
+            ``loss`` and ``psnr`` of the batch, and ``empty_psnr`` of an empty picture on the same rays.
 
         Raises:
             TrainingError: the loss is not finite.
@@ -170,17 +148,19 @@ class GridTrainer:
         if skinning:
             loss = loss + self._regularisers(figures)
         if not torch.isfinite(loss):
-            raise TrainingError(
-                f"the loss of step {index} is {float(loss)}; look for images with values that are not finite, or train "
-                "with a smaller rate; the last checkpoint is intact"
-            )
-        self.optimiser.zero_grad(set_to_none=True)
+            raise TrainingError(loss_not_finite(index, float(loss.detach()), self.rates))
+        self.optimiser.clear()
         loss.backward()
-        self._update(index, share)
+        self.optimiser.step(index, share)
         if skinning:
             self._forget_matrices()
         self._follow_density(index + 1)
-        return {"loss": float(loss.detach()), "psnr": float(-10.0 * torch.log10(image_loss.detach().clamp(min=1e-10)))}
+        empty = float(((target - background) ** 2).mean())
+        return {
+            "loss": float(loss.detach()),
+            "psnr": decibels(float(image_loss.detach())),
+            "empty_psnr": decibels(empty),
+        }
 
     def _matrices(self, chosen: np.ndarray, skinning: bool) -> list[Tensor]:
         """Blended matrices of each pose; those that need no gradient are kept until the skinning changes."""
@@ -244,22 +224,6 @@ class GridTrainer:
                 total = total + self.settings.offset_loss * (offset**2).mean()
         return total
 
-    def _update(self, index: int, share: float) -> None:
-        decay = self.settings.last_rate ** min(share, 1.0) * min(1.0, (index + 1) / 10)
-        for group, rate in zip(self.optimiser.param_groups, self.rates, strict=True):
-            group["lr"] = rate * decay
-        self.optimiser.step()
-        if not self.fused:
-            return
-        field = self.model.field
-        rows = [array.reshape(-1, FEATURES) for array in (
-            field.table.detach().numpy(), field.gradient.buffer.numpy(), self.mean, self.square,
-        )]  # fmt: skip
-        corrections = (1.0 - BETAS[0] ** (index + 1), 1.0 - BETAS[1] ** (index + 1))
-        factors = [np.float32(value) for value in (self.settings.grid_rate * decay, *BETAS, EPSILON, *corrections)]
-        touched = field.gradient.touched
-        in_pieces(lambda begin, end: adam_rows(begin, end, *rows, touched, *factors), len(touched), ADAM_PIECE)
-
     def _follow_density(self, done: int) -> None:
         """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
         if self.settings.cull_from <= done <= self.settings.cull_until and done % self.settings.cull_every == 0:
@@ -282,6 +246,8 @@ class GridTrainer:
             self.model.real(points), torch.full((len(points),), part, dtype=torch.int32, device=pair.device), pair,
             torch.zeros(len(points), dtype=torch.int64, device=pair.device),
         ).float().cpu()  # fmt: skip
+        if not bool(torch.isfinite(density).all()):
+            raise TrainingError(density_not_finite(self._occupied()[part][0].name, self.rates))
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
         occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)
@@ -298,16 +264,22 @@ class GridTrainer:
         """The model as it is now."""
         return GridActor(self.model)
 
+    @property
+    def rates(self) -> str:
+        """The rates it was told, in words."""
+        names = ("grid_rate", "mlp_rate", "light_rate", "skin_rate", "offset_rate")
+        return ", ".join(f"{name} {getattr(self.settings, name):g}" for name in names)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything that later steps depend on, by name; not copied."""
+        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        tensors |= {f"built.{name}": value for name, value in self.built_from.items()}
+        tensors["occupancy"] = torch.from_numpy(self.model.occupancy.densities)
+        return tensors | self.optimiser.tensors()
+
     def state(self) -> dict[str, Tensor]:
-        """Everything that later steps depend on."""
-        state = {f"model.{name}": value for name, value in self.model.state_dict().items()}
-        state |= {f"built.{name}": value for name, value in self.built_from.items()}
-        state["occupancy"] = torch.from_numpy(self.model.occupancy.densities)
-        state["grid.mean"], state["grid.square"] = torch.from_numpy(self.mean), torch.from_numpy(self.square)
-        for number, values in self.optimiser.state_dict()["state"].items():
-            for name, value in values.items():
-                state[f"adam.{number}.{name}"] = value
-        return {name: value.detach().clone().contiguous() for name, value in state.items()}
+        """A copy of ``tensors``."""
+        return {name: value.detach().clone().contiguous() for name, value in self.tensors().items()}
 
     def restore(self, state: dict[str, Tensor], done: int) -> None:  # noqa: ARG002 - the loop's interface
         """Continues from ``state``."""
@@ -316,14 +288,7 @@ class GridTrainer:
         self.model.volumes.load_state_dict(built)
         self._rebuild()
         self.model.load_state_dict({name[6:]: value for name, value in state.items() if name.startswith("model.")})
-        self.mean[:], self.square[:] = state["grid.mean"].numpy(), state["grid.square"].numpy()
-        adam: dict[int, dict[str, Tensor]] = {}
-        for name, value in state.items():
-            if name.startswith("adam."):
-                _, number, key = name.split(".")
-                adam.setdefault(int(number), {})[key] = value
-        content = self.optimiser.state_dict()
-        self.optimiser.load_state_dict({"state": adam, "param_groups": content["param_groups"]})
+        self.optimiser.restore(state)
         self.model.occupancy.densities[:] = state["occupancy"].numpy()
         self.surfaces = replace(self.surfaces, occupied=occupied_cells(self.model.occupancy))
         self._forget_matrices()

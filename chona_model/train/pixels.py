@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from chona_model.camera import Camera
 from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
+from chona_model.data.soundness import check_dataset, check_pixels, check_seen
 from chona_model.grid_model import PosedFigure
 from chona_model.render.posed import PosedPart, depth_spans
 
@@ -43,23 +44,22 @@ def group_by_pose(dataset: Dataset, scale: float) -> list[PoseViews]:
     """Loads every view and groups views of the same moment.
 
     Raises:
-        DatasetError: an image is damaged.
+        DatasetError: an image is damaged, a number of the capture is not finite, or an identity is never seen.
     """
+    check_dataset(dataset)
     groups: dict[tuple[str, str], list[View]] = {}
     for view in dataset.views:
         groups.setdefault((view.sequence, view.frame), []).append(view)
     result = []
     for views in groups.values():
         pixels = tuple(load_pixels(view, scale) for view in views)
-        scaled = views if scale == 1.0 else [_with_camera(view, view.camera.scaled(scale)) for view in views]
+        scaled = views if scale == 1.0 else [replace(view, camera=view.camera.scaled(scale)) for view in views]
+        for view, image in zip(scaled, pixels, strict=True):
+            check_pixels(view, image)
         result.append(PoseViews(tuple(scaled), pixels))
+    everything = [(view, image) for group in result for view, image in zip(group.views, group.pixels, strict=True)]
+    check_seen(dataset, [view for view, _ in everything], [image for _, image in everything], scale)
     return result
-
-
-def _with_camera(view: View, camera: Camera) -> View:
-    return View(
-        view.sequence, view.frame, view.camera_name, camera, view.pose, view.image, view.person_mask, view.object_mask
-    )
 
 
 def make_pools(

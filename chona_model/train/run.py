@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,11 +14,16 @@ from chona_model.data.dataset import Dataset
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
 from chona_model.train.checkpoint import load_checkpoint, save_checkpoint
+from chona_model.train.errors import TrainingError
+from chona_model.train.guard import Guard, GuardSettings, GuardState
+from chona_model.train.log import TrainingLog
+from chona_model.train.repeatable import repeatable
 
 METHODS = ("chona", "no-cil")
 DEFAULT_STEPS = {"fast": 4000, "paper": 100_000}
 CHECKPOINT_SECONDS = 60.0
 LOG_EVERY = 20
+MODEL = "model.safetensors"
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,10 @@ class TrainRun:
 class Trainer(Protocol):
     """What the loop drives."""
 
+    @property
+    def rates(self) -> str: ...
     def step(self, index: int, share: float) -> dict[str, float]: ...
+    def tensors(self) -> dict[str, Tensor]: ...
     def state(self) -> dict[str, Tensor]: ...
     def restore(self, state: dict[str, Tensor], done: int) -> None: ...
     def actor(self) -> Actor: ...
@@ -83,7 +90,7 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
     """Trains and writes ``OUT/model.safetensors``, ``log.jsonl`` and checkpoints.
 
     The time budget counts optimisation, not reading data or compiling kernels.  When cancelled, checkpoint and model
-    are written before returning.
+    are written before returning.  A model that is ruined (``guard.py``) is never written, over nothing.
 
     Returns:
         the model file.
@@ -92,53 +99,107 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
         DatasetError, TrainingError, CheckpointError, OSError.
     """
     out.mkdir(parents=True, exist_ok=True)
-    budget = run.minutes * 60.0 if run.minutes is not None else None
-    steps = run.steps or (DEFAULT_STEPS[run.preset] if budget is None else None)
-    trainer, settings = make_trainer(dataset, run)
-    identity = {
-        "preset": run.preset, "method": run.method, "seed": run.seed, "image_scale": run.image_scale,
-        "persons": sorted(dataset.persons), "objects": sorted(dataset.objects), "views": len(dataset.views),
-    }  # fmt: skip
-    done, spent = 0, 0.0
-    if run.resume:
-        state, position = load_checkpoint(out, identity)
-        done, spent = int(position["step"]), float(position["seconds"])
-        trainer.restore(state, done)
-    progress.start(
-        "train", budget or steps or 1, spent if budget is not None else done, "s" if budget is not None else "step"
-    )
-    log = (out / "log.jsonl").open("a" if run.resume else "w", encoding="utf-8")
-    with log:
-        began = time.perf_counter() - spent
-        saved = time.perf_counter()
-        warm, report = done > 0, {}
-        while not progress.cancelled_by_user:
-            share = spent / budget if budget is not None else done / max(steps or 1, 1)
-            if share >= 1.0:
-                break
-            report = trainer.step(done, share)
-            done += 1
-            if not warm:
-                began, warm = time.perf_counter(), True  # the first step compiled the kernels
-            spent = time.perf_counter() - began
-            if done % LOG_EVERY == 0 or done == 1:
-                log.write(json.dumps({"step": done, "seconds": round(spent, 3), **report}) + "\n")
-                shown = round(min(spent, budget), 2) if budget is not None else done
-                progress.update(shown, f"step {done}", **report)
-            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
-                log.flush()
-                save_checkpoint(out, trainer.state(), {"step": done, "seconds": spent}, identity)
-                saved = time.perf_counter()
-        if report:
-            progress.update(round(min(spent, budget), 2) if budget is not None else done, f"step {done}", **report)
-    save_checkpoint(out, trainer.state(), {"step": done, "seconds": spent}, identity)
-    model = out / "model.safetensors"
-    training = {"steps": done, "seconds": round(spent, 2), "poses": len({(v.sequence, v.frame) for v in dataset.views}),
-                "views": len(dataset.views), "data": run.data_statement,
-                "finished": not progress.cancelled_by_user}  # fmt: skip
+    with repeatable(run.device):
+        trainer, settings = make_trainer(dataset, run)
+        identity = {
+            "preset": run.preset, "method": run.method, "seed": run.seed, "image_scale": run.image_scale,
+            "persons": sorted(dataset.persons), "objects": sorted(dataset.objects), "views": len(dataset.views),
+            "sequences": sorted({view.sequence for view in dataset.views}),
+        }  # fmt: skip
+        loop = _Loop(trainer, out, run, identity)
+        try:
+            loop.run(progress)
+        except TrainingError as error:
+            raise TrainingError(f"{error}; {loop.kept()}") from error
+    model = out / MODEL
+    training = {"steps": loop.done, "seconds": round(loop.spent, 2),
+                "poses": len({(v.sequence, v.frame) for v in dataset.views}), "views": len(dataset.views),
+                "data": run.data_statement, "finished": not progress.cancelled_by_user}  # fmt: skip
     save_actor(model, trainer.actor(), run.method, {"preset": run.preset, **settings}, training)
     if progress.cancelled_by_user:
-        progress.cancelled(model=str(model), step=done)
+        progress.cancelled(model=str(model), step=loop.done)
     else:
-        progress.result(model=str(model), steps=done, seconds=round(spent, 2))
+        progress.result(model=str(model), steps=loop.done, seconds=round(loop.spent, 2))
     return model
+
+
+class _Loop:
+    """Steps until the budget is spent, with guard, log and checkpoints.
+
+    Attributes:
+        done, spent: steps and seconds of training so far; saved: step of the run's checkpoint, None without one.
+    """
+
+    def __init__(self, trainer: Trainer, out: Path, run: TrainRun, identity: dict[str, Any]) -> None:
+        self.trainer, self.out, self.identity, self.resumes = trainer, out, identity, run.resume
+        self.budget = run.minutes * 60.0 if run.minutes is not None else None
+        self.steps = run.steps or (DEFAULT_STEPS[run.preset] if self.budget is None else 1)
+        self.done, self.spent = 0, 0.0
+        self.saved: int | None = None
+        self.guard = Guard(GuardSettings(), trainer.rates)
+        if run.resume:
+            state, position = load_checkpoint(out, identity)
+            self.done, self.spent = int(position["step"]), float(position["seconds"])
+            self.saved = self.done
+            self.guard = Guard(GuardSettings(), trainer.rates, GuardState(**position.get("guard", {})))
+            self.guard.look(self.done, state)
+            trainer.restore(state, self.done)
+
+    def run(self, progress: Progress) -> None:
+        """Trains, and writes the last checkpoint."""
+        unit = "s" if self.budget is not None else "step"
+        progress.start("train", self.budget or self.steps, self._shown(), unit)
+        report: dict[str, float] = {}
+        with TrainingLog(self.out, self.done if self.resumes else 0) as log:
+            began = time.perf_counter() - self.spent
+            looked, warm = time.perf_counter(), self.done > 0
+            while not progress.cancelled_by_user and self.share < 1.0:
+                report = self.trainer.step(self.done, self.share)
+                self.done += 1
+                if not warm:
+                    began, warm = time.perf_counter(), True  # the first step compiled the kernels
+                self.spent = time.perf_counter() - began
+                if self.done % LOG_EVERY == 0 or self.done == 1:
+                    log.write(self.done, self.spent, report)
+                    self._tell(progress, report)
+                self.guard.observe(self.done, report)
+                if self.guard.look_due(self.done):
+                    self.guard.look(self.done, self.trainer.tensors())
+                if time.perf_counter() - looked > CHECKPOINT_SECONDS:
+                    log.flush()
+                    if not self.guard.lost_what_it_had:
+                        self._save()
+                    looked = time.perf_counter()
+        if report:
+            self._tell(progress, report)
+        self.guard.close(self.done)
+        self._save()
+
+    @property
+    def share(self) -> float:
+        """How much of the schedule is done, 0…1."""
+        return self.spent / self.budget if self.budget is not None else self.done / self.steps
+
+    def kept(self) -> str:
+        """What is on the disk now that training has failed, in words."""
+        model = f"; {self.out / MODEL} is the one from before" if (self.out / MODEL).exists() else ""
+        if self.saved is None:
+            return f"no checkpoint was written, and no model{model}"
+        return (
+            f"the checkpoint of step {self.saved} is kept, --resume --steps {self.saved} makes a model of it, and no "
+            f"model was written{model}"
+        )
+
+    def _save(self) -> None:
+        """Raises TrainingError and leaves the checkpoint before as it is where a number is not finite."""
+        state = self.trainer.state()
+        self.guard.look(self.done, state)
+        position = {"step": self.done, "seconds": self.spent, "guard": self.guard.position()}
+        save_checkpoint(self.out, state, position, self.identity)
+        self.saved = self.done
+
+    def _shown(self) -> float:
+        return round(min(self.spent, self.budget), 2) if self.budget is not None else self.done
+
+    def _tell(self, progress: Progress, report: dict[str, float]) -> None:
+        progress.update(self._shown(), f"step {self.done}", loss=report["loss"], psnr=report["psnr"])

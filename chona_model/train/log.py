@@ -1,0 +1,56 @@
+"""``log.jsonl``: how a training went, one JSON object a line, every step at most once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from chona_model.formats.atomic import write_bytes
+
+NAME = "log.jsonl"
+
+
+class TrainingLog:
+    """Writes lines; continues the log of a run that was stopped.
+
+    Args:
+        run: the run's folder; done: steps of the checkpoint that is continued, 0 for a new run, whose log is new too.
+    """
+
+    def __init__(self, run: Path, done: int) -> None:
+        path = run / NAME
+        if done > 0 and path.exists():
+            # What was killed had gone on after its checkpoint, and may have left half a line.
+            write_bytes(path, "".join(line + "\n" for line in kept_lines(path, done)).encode())
+        self._file = path.open("a" if done > 0 else "w", encoding="utf-8")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def write(self, step: int, seconds: float, report: dict[str, float]) -> None:
+        """One line: steps done, seconds of training, and the step's report."""
+        self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
+
+    def flush(self) -> None:
+        """Hands the lines so far to the system."""
+        self._file.flush()
+
+
+def kept_lines(path: Path, done: int) -> list[str]:
+    """The log's whole lines of steps up to ``done``, each step once."""
+    kept: dict[int, str] = {}
+    for line in path.read_text("utf-8", errors="replace").splitlines():
+        try:
+            step = int(json.loads(line)["step"])
+        except (ValueError, KeyError, TypeError):
+            continue
+        if step <= done:
+            kept.setdefault(step, line)
+    return [kept[step] for step in sorted(kept)]
