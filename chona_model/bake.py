@@ -6,130 +6,155 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from chona_model.actor import EMPTY_DEPTH, Actor, Picture
-from chona_model.camera import Camera
+from chona_model.actor import Actor
+from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
-from chona_model.formats.model_file import file_hash
+from chona_model.formats.model_file import ModelHeader, file_hash, read_header
 from chona_model.formats.shot import Shot, ShotError, read_shot
-from chona_model.model_store import load_actor
+from chona_model.frame import ShotRenderer
+from chona_model.model_store import LoadReport, load_with_report
+from chona_model.passes import ALL_PASSES, Passes
+from chona_model.presets import find_preset
 from chona_model.progress import Progress
-from chona_model.settings import RENDER_PRESETS, RenderSettings
-
-
-@dataclass(frozen=True)
-class BakeReport:
-    """What a bake did: frames written and skipped, those of the written that repeat an earlier one, and seconds."""
-
-    written: int
-    skipped: int
-    repeated: int
-    seconds: float
+from chona_model.settings import RenderSettings
+from chona_model.sight import bones_at_rest, out_of_picture, shown_identities
 
 
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
-    device: str = "cpu",
+    device: str = "cpu", passes: Passes = ALL_PASSES,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
-    A frame that is already there, whole, and of the same model, pose, camera and settings is skipped unless
-    ``overwrite``.  A frame that shows what an earlier one of this run shows is copied from it (holds, cycles).  When
-    cancelled, every frame on disk is a finished one.
+    A frame that is already there, whole, and of the same model, pose, camera, settings and passes is skipped unless
+    ``overwrite``.  A frame that shows what another of the shot shows is copied from it (holds, cycles), whether this
+    run or an earlier one rendered it.  Of the model only the identities that the shot shows are loaded, and only when a
+    frame has to be rendered.  When cancelled, every frame on disk is a finished one.
 
     Args:
         frames: frame numbers to bake; None for all of the shot.
+        passes: what frames have besides their colours.
 
     Raises:
         ShotError: the shot is damaged, or a frame, person, object or bone in it is unknown.
         ModelFileError: the model cannot be loaded.  OSError: the folder cannot be written to.
     """
-    content = read_shot(shot)
+    content, header = read_shot(shot), read_header(model)
     chosen = choose_frames(content, frames)
-    actor = load_actor(model, device)
-    check_actors(content, actor)
-    settings, digest = RENDER_PRESETS[preset], file_hash(model)
+    check_actors(content, header)
+    settings, digest = find_preset(preset), file_hash(model)
     _check_writable(out)
     began = time.perf_counter()
+    done = FinishedFrames(content, settings, out, digest, passes, trust=not overwrite)
+    tally, source = Tally(passes), _Source(model, content, header, settings, passes, device)
     written = skipped = repeated = 0
-    rendered: dict[str, Path] = {}
     progress.start("bake", len(chosen), unit="frame")
     for index in chosen:
         if progress.cancelled_by_user:
             break
-        path = out / frame_name(content.name, int(content.frames[index]))
-        key = frame_hash(content, index, settings)
-        if not overwrite and is_finished(path, digest, key):
+        path = done.path(index)
+        if done.is_finished(index):
             skipped += 1
         else:
+            twin = done.twin(index)
+            if twin is None:
+                source.load()
             start = time.perf_counter()
-            if key in rendered and rendered[key].is_file():
-                layers, _ = read_frame(rendered[key])
+            if twin is not None:
+                layers, _ = read_frame(twin)
                 repeated += 1
             else:
-                layers = render_frame(actor, content, index, settings)
-                rendered[key] = path
-            seconds = time.perf_counter() - start
-            header = FrameHeader(digest, key, preset, json.dumps(asdict(settings)), seconds, int(content.frames[index]))
-            write_frame(path, layers, header)
+                layers = source.render(index)
+                tally.rendered(out_of_picture(content, index, header), source.folded(index))
+            seconds, number = time.perf_counter() - start, int(content.frames[index])
+            settled = json.dumps(asdict(settings))
+            write_frame(path, layers, FrameHeader(digest, done.keys[index], preset, settled, seconds, number))
+            done.add(index)
             written += 1
         progress.update(written + skipped, path.name)
-    report = BakeReport(written, skipped, repeated, time.perf_counter() - began)
+    report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally))
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
-    finish(written=written, skipped=skipped, repeated=repeated, seconds=round(report.seconds, 3), out=str(out))
+    finish(**report.as_dict(), out=str(out))
     return report
 
 
-def render_frame(
-    actor: Actor, shot: Shot, index: int, settings: RenderSettings, camera: Camera | None = None
-) -> FrameLayers:
-    """One frame's pixels, seen by the shot's camera or another: actors are layered by depth, pixel by pixel."""
-    camera = camera or shot.camera(index)
-    pictures = [actor.render(member.pose(index), camera, settings) for member in shot.actors]
-    near, far = shot.clip[index]
-    layers = [_layer(picture, near, far) for picture in pictures]
-    merged = layers[0]
-    for other in layers[1:]:
-        merged = _merge(merged, other)
-    combined, depth, human, thing, confidence = merged
-    scaled = np.where(depth < EMPTY_DEPTH, depth * np.float32(shot.world_scale), np.float32(EMPTY_DEPTH))
-    return FrameLayers(combined, scaled, human, thing, confidence)
+class FinishedFrames:
+    """Which frames of a shot are on disk and up to date, and which of them show the same.
+
+    Attributes:
+        keys: ``frame_hash`` of every frame of the shot.
+
+    Args:
+        trust: whether frames of earlier runs count.
+    """
+
+    def __init__(
+        self, shot: Shot, settings: RenderSettings, out: Path, model_hash: str, passes: Passes, trust: bool
+    ) -> None:
+        self._shot, self._out, self._model, self._passes, self._trust = shot, out, model_hash, passes, trust
+        self.keys = [frame_hash(shot, index, settings) for index in range(len(shot))]
+        self._alike: dict[str, list[int]] = {}
+        for index, key in enumerate(self.keys):
+            self._alike.setdefault(key, []).append(index)
+        self._own: set[int] = set()
+
+    def path(self, index: int) -> Path:
+        """The file of the frame at ``index``."""
+        return self._out / frame_name(self._shot.name, int(self._shot.frames[index]))
+
+    def add(self, index: int) -> None:
+        """This run has written the frame."""
+        self._own.add(index)
+
+    def is_finished(self, index: int) -> bool:
+        """Whether the file is there, whole, and what it should be."""
+        trusted = self._trust or index in self._own
+        return trusted and is_finished(self.path(index), self._model, self.keys[index], self._passes)
+
+    def twin(self, index: int) -> Path | None:
+        """The file of a finished frame that shows the same; looked for only among frames of the same key."""
+        alike = (other for other in self._alike[self.keys[index]] if other != index)
+        return next((self.path(other) for other in alike if self.is_finished(other)), None)
 
 
-Layer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+class _Source:
+    """Renders frames, and loads what it takes when the first is asked for."""
 
+    def __init__(
+        self, model: Path, shot: Shot, header: ModelHeader, settings: RenderSettings, passes: Passes, device: str
+    ) -> None:
+        self._model, self._shot, self._header, self._device = model, shot, header, device
+        self._settings, self._passes = settings, passes
+        self._renderer: ShotRenderer | None = None
+        self._loaded: LoadReport | None = None
 
-def _layer(picture: Picture, near: float, far: float) -> Layer:
-    """Scene-linear, premultiplied; empty where the surface lies outside the clip range, as Blender's camera cuts."""
-    alpha = picture.alpha[..., None]
-    straight = np.divide(picture.rgb, alpha, out=np.zeros_like(picture.rgb), where=alpha > 0)
-    kept = (picture.depth >= near) & (picture.depth <= far)
-    combined = np.concatenate([linear_from_srgb(np.clip(straight, 0.0, 1.0)) * alpha, alpha], axis=-1)
-    return (
-        np.where(kept[..., None], combined, np.float32(0.0)), np.where(kept, picture.depth, np.float32(EMPTY_DEPTH)),
-        picture.human * kept, picture.object * kept, picture.confidence,
-    )  # fmt: skip
+    def load(self) -> ShotRenderer:
+        """Loads what the shot shows, if that is not done."""
+        if self._renderer is None:
+            persons, objects = shown_identities(self._shot)
+            actor, self._loaded = load_with_report(self._model, self._device, persons, objects)
+            self._renderer = ShotRenderer(actor, self._shot, self._settings, self._passes)
+        return self._renderer
 
+    def render(self, index: int) -> FrameLayers:
+        """The pixels of the frame at ``index``."""
+        return self.load().render(index)
 
-def _merge(one: Layer, other: Layer) -> Layer:
-    nearer = one[1] <= other[1]
-    front = [np.where(nearer if a.ndim == 2 else nearer[..., None], a, b) for a, b in zip(one, other, strict=True)]
-    back = [np.where(nearer if a.ndim == 2 else nearer[..., None], b, a) for a, b in zip(one, other, strict=True)]
-    through = 1.0 - front[0][..., 3]
-    return (
-        front[0] + through[..., None] * back[0], front[1], front[2] + through * back[2], front[3] + through * back[3],
-        np.minimum(front[4], back[4]),
-    )  # fmt: skip
+    def folded(self, index: int) -> tuple[int, int]:
+        """How many bones of the frame were at rest, and of how many; only grids fold them."""
+        return bones_at_rest(self._shot, index, self._header) if self._header.field == "grid" else (0, 0)
 
-
-def linear_from_srgb(colour: np.ndarray) -> np.ndarray:
-    """The sRGB transfer curve (IEC 61966-2-1) undone; 0…1 to 0…1, float32."""
-    low, high = colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4
-    return np.where(colour <= 0.04045, low, high).astype(np.float32)
+    def left_out(self, tally: Tally) -> LeftOut:
+        """What was not needed."""
+        if self._renderer is None or self._loaded is None:
+            names = (*self._header.persons, *self._header.objects)
+            return tally.left_out(False, names, self._header.size_bytes, 0)
+        return tally.left_out(True, self._loaded.left, self._loaded.bytes_left, self._renderer.kept)
 
 
 def frame_hash(shot: Shot, index: int, settings: RenderSettings) -> str:
@@ -163,19 +188,19 @@ def choose_frames(shot: Shot, frames: Sequence[int] | None) -> list[int]:
     return [place[frame] for frame in sorted(set(frames))]
 
 
-def check_actors(shot: Shot, actor: Actor) -> None:
+def check_actors(shot: Shot, model: Actor | ModelHeader) -> None:
     """``ShotError`` where the shot wants a person, an object or a bone that the model lacks."""
     for member in shot.actors:
-        if member.person is not None and member.person not in actor.persons:
+        if member.person is not None and member.person not in model.persons:
             raise ShotError(
-                f"actor '{member.name}' wants the person '{member.person}', the model has {', '.join(actor.persons)}"
+                f"actor '{member.name}' wants the person '{member.person}', the model has {', '.join(model.persons)}"
             )
         for name in member.objects:
-            if name not in actor.objects:
+            if name not in model.objects:
                 raise ShotError(f"actor '{member.name}' wants the object '{name}', the model has "
-                                f"{', '.join(actor.objects) or 'none'}")  # fmt: skip
-        if member.person is not None and member.bones != actor.skeleton.names:
-            missing = [name for name in actor.skeleton.names if name not in member.bones]
+                                f"{', '.join(model.objects) or 'none'}")  # fmt: skip
+        if member.person is not None and member.bones != model.skeleton.names:
+            missing = [name for name in model.skeleton.names if name not in member.bones]
             raise ShotError(
                 f"actor '{member.name}' lacks the model's bone '{missing[0]}': map it in the rig"
                 if missing

@@ -31,6 +31,7 @@ from chona_model.arguments import (
     writable_file,
     writable_folder,
 )
+from chona_model.passes import PASSES, Passes
 from chona_model.progress import MODES, Cancelled, Progress
 from chona_model.settings import PRESETS
 
@@ -145,6 +146,10 @@ def make_parser() -> Parser:
     bake.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
     bake.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
     bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
+    bake.add_argument(
+        "--passes", type=name_list, default=list(PASSES), metavar="A,B,…",
+        help=f"of {', '.join(PASSES)} (default: all; combined always)",
+    )  # fmt: skip
 
     trade = add("trade", _trade, "measure what speed costs with a model, and find the best settings", long=True)
     trade.add_argument("--model", type=Path, required=True, metavar="FILE")
@@ -257,6 +262,7 @@ def _evaluate(arguments: argparse.Namespace, progress: Progress) -> int:
 def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
+    passes = Passes.of(arguments.passes)
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
     device = resolve_device(arguments.device)
@@ -265,10 +271,10 @@ def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
     progress.check()
     report = bake(
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
-        device=device,
+        device=device, passes=passes,
     )  # fmt: skip
-    words = f"{report.written} frames written, {report.skipped} were up to date, {report.seconds:.1f} s: {out}"
-    return _finish(progress, words, written=report.written, skipped=report.skipped, seconds=report.seconds)
+    words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
+    return _finish(progress, words, **report.as_dict())
 
 
 def _trade(arguments: argparse.Namespace, progress: Progress) -> int:

@@ -48,3 +48,7 @@ class Passes:
     def left_out(self) -> tuple[str, ...]:
         """The passes that are not."""
         return tuple(name for name in PASSES if name not in self.names)
+
+
+ALL_PASSES = Passes()
+"""What is wanted where nothing else is said."""

@@ -17,11 +17,13 @@ from typing import BinaryIO
 import numpy as np
 
 from chona_model.actor import Actor
-from chona_model.bake import check_actors, render_frame
+from chona_model.bake import check_actors
 from chona_model.camera import Camera
 from chona_model.data.dataset import Pose
 from chona_model.formats.shot import Shot, ShotError, read_shot
+from chona_model.frame import render_frame
 from chona_model.model_store import load_actor
+from chona_model.passes import Passes
 from chona_model.settings import RENDER_PRESETS
 from chona_model.skeleton import translation
 
@@ -154,7 +156,9 @@ def _answer(out: BinaryIO, actor: Actor, request: Request) -> None:
     shot: Shot = read_shot(io.BytesIO(request.shot))
     check_actors(shot, actor)
     camera = shot.camera(0).scaled(request.scale)
-    layers = render_frame(actor, shot, 0, RENDER_PRESETS[request.preset], camera)
+    wanted = Passes(mattes=False, confidence=False)
+    layers = render_frame(actor, shot, 0, RENDER_PRESETS[request.preset], camera, wanted)
+    assert layers.depth is not None  # it is among what is wanted
     pixels = np.concatenate([layers.combined, layers.depth[..., None]], axis=-1).astype("<f4")
     content = pixels.tobytes()
     _say(

@@ -17,6 +17,8 @@ FLOORS = (
     ("serve",),
     ("trade",),
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
+    ("bake_report",),
+    ("frame", "sight"),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),
     ("grid_device",),

@@ -13,12 +13,14 @@ import OpenEXR
 
 from chona_model.formats.atomic import atomic_path
 from chona_model.formats.exr_structure import ExrError, check_exr
+from chona_model.passes import ALL_PASSES, Passes
 
 LAYER = "CHONA"
 EMPTY_DEPTH = 1e10
 """Depth of a pixel that nothing covers, as Blender writes it."""
 HALF_MAX = 65504.0
 _MATTES = {"human": "Human", "object": "Object", "confidence": "Confidence"}
+_PASSES_ATTRIBUTE = "chona:passes"
 
 __all__ = ["EMPTY_DEPTH", "LAYER", "ExrError", "FrameHeader", "FrameLayers", "frame_name", "is_finished", "read_frame",
            "write_frame"]  # fmt: skip
@@ -26,20 +28,25 @@ __all__ = ["EMPTY_DEPTH", "LAYER", "ExrError", "FrameHeader", "FrameLayers", "fr
 
 @dataclass(frozen=True)
 class FrameLayers:
-    """The pixels of one frame.
+    """The pixels of one frame; None for a pass that was not asked for.
 
     Attributes:
         combined: [H, W, 4] scene-linear Rec.709, premultiplied.
         depth: [H, W] metres along the camera axis, ``EMPTY_DEPTH`` where empty.
-        human, object: [H, W] share of the pixel's alpha that is the person or an object.
+        human, object: [H, W] share of the pixel's alpha that is the person or an object; both or none.
         confidence: [H, W] share of samples whose inverse skinning converged.
     """
 
     combined: np.ndarray
-    depth: np.ndarray
-    human: np.ndarray
-    object: np.ndarray
-    confidence: np.ndarray
+    depth: np.ndarray | None = None
+    human: np.ndarray | None = None
+    object: np.ndarray | None = None
+    confidence: np.ndarray | None = None
+
+    @property
+    def passes(self) -> Passes:
+        """Which there are."""
+        return Passes(self.depth is not None, self.human is not None, self.confidence is not None)
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ def frame_name(shot_name: str, frame: int) -> str:
 
 
 def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
-    """Writes one frame whole or not at all, over what was there.
+    """Writes one frame whole or not at all, over what was there; passes that are None are not in the file.
 
     Colours beyond half precision's range are limited to it.
 
@@ -81,10 +88,13 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
     _check_layers(layers)
     channels = {
         f"{LAYER}.Combined": np.clip(layers.combined, -HALF_MAX, HALF_MAX).astype(np.float16),
-        f"{LAYER}.Depth.Z": np.ascontiguousarray(layers.depth, dtype=np.float32),
     }
+    if layers.depth is not None:
+        channels[f"{LAYER}.Depth.Z"] = np.ascontiguousarray(layers.depth, dtype=np.float32)
     for field, name in _MATTES.items():
-        channels[f"{LAYER}.{name}.V"] = np.ascontiguousarray(getattr(layers, field), dtype=np.float16)
+        pixels = getattr(layers, field)
+        if pixels is not None:
+            channels[f"{LAYER}.{name}.V"] = np.ascontiguousarray(pixels, dtype=np.float16)
     attributes = {
         "type": OpenEXR.scanlineimage,
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -94,6 +104,7 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         "chona:settings": header.settings,
         "chona:seconds": float(header.seconds),
         "chona:frame": int(header.frame),
+        _PASSES_ATTRIBUTE: _passes_text(layers.passes),
     }
     with atomic_path(path) as temporary:
         try:
@@ -104,7 +115,7 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
 
 
 def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
-    """Reads a frame that ``write_frame`` wrote; arrays are float32.
+    """Reads a frame that ``write_frame`` wrote; arrays are float32, None for passes that it does not have.
 
     Raises:
         ExrError: the file is missing, damaged, or lacks channels or attributes of this program.
@@ -116,9 +127,14 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
             pixels = {name: channel.pixels.astype(np.float32) for name, channel in file.channels().items()}
         layers = FrameLayers(
             pixels[f"{LAYER}.Combined"],
-            pixels[f"{LAYER}.Depth.Z"],
-            *(pixels[f"{LAYER}.{name}.V"] for name in _MATTES.values()),
+            pixels.get(f"{LAYER}.Depth.Z"),
+            *(pixels.get(f"{LAYER}.{name}.V") for name in _MATTES.values()),
         )
+        told = attributes.get(_PASSES_ATTRIBUTE, _passes_text(ALL_PASSES))
+        if _passes_text(layers.passes) != told or (layers.human is None) != (layers.object is None):
+            raise ExrError(
+                f"{path} has the passes {_passes_text(layers.passes)}, its header says {told}: render it again"
+            )
         names = ("model", "shot", "preset", "settings", "seconds", "frame")
         return layers, FrameHeader(*(attributes[f"chona:{name}"] for name in names))
     except KeyError as error:
@@ -127,23 +143,38 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
         raise ExrError(f"cannot read {path}: {error}; render it again") from error
 
 
-def is_finished(path: Path, model_hash: str, shot_hash: str) -> bool:
-    """Whether ``path`` is a whole frame of this model, pose, camera and settings; anything else is rendered again."""
+def is_finished(path: Path, model_hash: str, shot_hash: str, passes: Passes = ALL_PASSES) -> bool:
+    """Whether ``path`` is a whole frame of this model, pose, camera, settings and passes.
+
+    Anything else is rendered again.
+    """
     try:
         structure = check_exr(path)
     except ExrError:
         return False
-    return structure.text("chona:model") == model_hash and structure.text("chona:shot") == shot_hash
+    whole = _passes_text(ALL_PASSES)  # what frames have that are older than the attribute
+    told = structure.text(_PASSES_ATTRIBUTE) or whole
+    return (structure.text("chona:model"), structure.text("chona:shot"), told) == (
+        model_hash, shot_hash, _passes_text(passes),
+    )  # fmt: skip
+
+
+def _passes_text(passes: Passes) -> str:
+    return ",".join(passes.names)
 
 
 def _check_layers(layers: FrameLayers) -> None:
-    size = layers.depth.shape
-    if layers.combined.ndim != 3 or layers.combined.shape != (*size, 4) or 0 in size:
-        raise ExrError(f"combined has the shape {layers.combined.shape}, expected [H, W, 4] over depth's {size}")
+    size = layers.combined.shape[:2]
+    if layers.combined.ndim != 3 or layers.combined.shape[2] != 4 or 0 in size:
+        raise ExrError(f"combined has the shape {layers.combined.shape}, expected [H, W, 4]")
+    if (layers.human is None) != (layers.object is None):
+        raise ExrError("there is a matte of the person or of objects alone; expected both or none")
     for name in ("combined", "depth", *_MATTES):
         array = getattr(layers, name)
+        if array is None:
+            continue
         if name != "combined" and array.shape != size:
-            raise ExrError(f"{name} has the shape {array.shape}, expected {size}")
+            raise ExrError(f"{name} has the shape {array.shape}, expected {size} as combined")
         if not np.isfinite(array).all():
             count = int((~np.isfinite(array)).sum())
             raise ExrError(f"{name} has {count} values that are not finite; such a frame would spoil a composite")

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from chona_model.actor import Actor
-from chona_model.bake import FrameHeader, render_frame, write_frame
+from chona_model.formats.exr import FrameHeader, write_frame
 from chona_model.formats.shot import Shot, ShotActor
+from chona_model.frame import render_frame
 from chona_model.presets import find_preset
 from chona_model.settings import PRESETS, RenderSettings
 from chona_model.trade.cost import Cost, fit_cost

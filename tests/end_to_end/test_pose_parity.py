@@ -13,10 +13,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tiny_models import trained
 
-from chona_model.bake import linear_from_srgb
 from chona_model.camera import Camera
 from chona_model.data.dataset import Pose
 from chona_model.formats.exr import read_frame
+from chona_model.frame import linear_from_srgb
 from chona_model.model_store import save_actor
 from chona_model.settings import RENDER_PRESETS
 from chona_model.skeleton import forward_kinematics

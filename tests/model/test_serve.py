@@ -14,8 +14,8 @@ import pytest
 from cli_files import write_view_shot
 from tiny_models import trained
 
-from chona_model.bake import render_frame
 from chona_model.formats.shot import read_shot
+from chona_model.frame import render_frame
 from chona_model.grid_actor import GridActor
 from chona_model.model_store import load_actor, save_actor
 from chona_model.serve import LARGEST_SHOT, Inbox, RequestError, read_request
