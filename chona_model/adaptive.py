@@ -7,7 +7,9 @@ The bound is an estimate of the error, from the distance between two rungs, not 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -47,6 +49,53 @@ class Reached:
     def as_dict(self) -> dict[str, float]:
         """For JSON."""
         return asdict(self)
+
+    def sentence(self) -> str:
+        """In words."""
+        share = self.refined / max(self.pixels, 1)
+        if self.unsettled == 0:
+            return f"every pixel within {self.asked:g} ({self.error:.3g}), {share:.0%} refined"
+        return (
+            f"{self.unsettled} of {self.pixels} pixels above {self.asked:g} (up to {self.error:.3g}) with the finest "
+            f"settings, {share:.0%} refined"
+        )
+
+
+def together(views: Sequence[Reached]) -> Reached | None:
+    """What a bound came to over several views; None for none."""
+    if not views:
+        return None
+    sums = {name: sum(getattr(each, name) for each in views) for name in ("unsettled", "pixels", "refined", "rays")}
+    error, rungs = max(each.error for each in views), max(each.rungs for each in views)
+    return Reached(asked=views[0].asked, error=error, rungs=rungs, **sums)
+
+
+class BoundedActor:
+    """An actor all of whose views are rendered within one bound.
+
+    Args:
+        actor: renders; bound: see ``render_within``.
+    """
+
+    def __init__(self, actor: Actor, bound: float) -> None:
+        self._actor, self._bound = actor, bound
+        self._views: list[Reached] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._actor, name)
+
+    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+        """A view within the bound; some ``pixels`` of one are rendered as the settings have them."""
+        if pixels is not None:
+            return self._actor.render(pose, camera, settings, pixels)
+        picture, reached = render_within(self._actor, pose, camera, settings, self._bound)
+        self._views.append(reached)
+        return picture
+
+    @property
+    def reached(self) -> Reached | None:
+        """What the bound came to over all views; None where there were none."""
+        return together(self._views)
 
 
 def ladder(settings: RenderSettings) -> list[RenderSettings]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from chona_model.actor import Actor
+from chona_model.adaptive import BoundedActor, Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.model_file import ModelHeader, file_hash, read_header
@@ -27,7 +28,7 @@ from chona_model.sight import bones_at_rest, out_of_picture, shown_identities
 
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
-    device: str = "cpu", passes: Passes = ALL_PASSES,
+    device: str = "cpu", passes: Passes = ALL_PASSES, max_error: float = 0.0,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
@@ -38,9 +39,12 @@ def bake(
 
     Args:
         frames: frame numbers to bake; None for all of the shot.
+        preset: a name, or the path of a preset's file.
         passes: what frames have besides their colours.
+        max_error: bound on colour and alpha, see ``adaptive.render_within``; 0 for none.
 
     Raises:
+        SettingsError: there is no such preset.
         ShotError: the shot is damaged, or a frame, person, object or bone in it is unknown.
         ModelFileError: the model cannot be loaded.  OSError: the folder cannot be written to.
     """
@@ -50,8 +54,8 @@ def bake(
     settings, digest = find_preset(preset), file_hash(model)
     _check_writable(out)
     began = time.perf_counter()
-    done = FinishedFrames(content, settings, out, digest, passes, trust=not overwrite)
-    tally, source = Tally(passes), _Source(model, content, header, settings, passes, device)
+    done = FinishedFrames(content, settings, out, digest, passes, trust=not overwrite, max_error=max_error)
+    tally, source = Tally(passes), _Source(model, content, header, settings, passes, device, max_error)
     written = skipped = repeated = 0
     progress.start("bake", len(chosen), unit="frame")
     for index in chosen:
@@ -72,12 +76,12 @@ def bake(
                 layers = source.render(index)
                 tally.rendered(out_of_picture(content, index, header), source.folded(index))
             seconds, number = time.perf_counter() - start, int(content.frames[index])
-            settled = json.dumps(asdict(settings))
-            write_frame(path, layers, FrameHeader(digest, done.keys[index], preset, settled, seconds, number))
+            settled = json.dumps(asdict(settings) | ({"max_error": max_error} if max_error else {}))
+            write_frame(path, layers, FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number))
             done.add(index)
             written += 1
         progress.update(written + skipped, path.name)
-    report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally))
+    report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))
     return report
@@ -94,10 +98,11 @@ class FinishedFrames:
     """
 
     def __init__(
-        self, shot: Shot, settings: RenderSettings, out: Path, model_hash: str, passes: Passes, trust: bool
-    ) -> None:
+        self, shot: Shot, settings: RenderSettings, out: Path, model_hash: str, passes: Passes, trust: bool,
+        max_error: float,
+    ) -> None:  # fmt: skip
         self._shot, self._out, self._model, self._passes, self._trust = shot, out, model_hash, passes, trust
-        self.keys = [frame_hash(shot, index, settings) for index in range(len(shot))]
+        self.keys = [frame_hash(shot, index, settings, max_error) for index in range(len(shot))]
         self._alike: dict[str, list[int]] = {}
         for index, key in enumerate(self.keys):
             self._alike.setdefault(key, []).append(index)
@@ -126,11 +131,13 @@ class _Source:
     """Renders frames, and loads what it takes when the first is asked for."""
 
     def __init__(
-        self, model: Path, shot: Shot, header: ModelHeader, settings: RenderSettings, passes: Passes, device: str
-    ) -> None:
+        self, model: Path, shot: Shot, header: ModelHeader, settings: RenderSettings, passes: Passes, device: str,
+        max_error: float,
+    ) -> None:  # fmt: skip
         self._model, self._shot, self._header, self._device = model, shot, header, device
-        self._settings, self._passes = settings, passes
+        self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
+        self._bounded: BoundedActor | None = None
         self._loaded: LoadReport | None = None
 
     def load(self) -> ShotRenderer:
@@ -138,6 +145,8 @@ class _Source:
         if self._renderer is None:
             persons, objects = shown_identities(self._shot)
             actor, self._loaded = load_with_report(self._model, self._device, persons, objects)
+            if self._max_error:
+                self._bounded = actor = BoundedActor(actor, self._max_error)
             self._renderer = ShotRenderer(actor, self._shot, self._settings, self._passes)
         return self._renderer
 
@@ -149,6 +158,11 @@ class _Source:
         """How many bones of the frame were at rest, and of how many; only grids fold them."""
         return bones_at_rest(self._shot, index, self._header) if self._header.field == "grid" else (0, 0)
 
+    @property
+    def reached(self) -> Reached | None:
+        """What a bound on the error came to; None without one, or where nothing was rendered."""
+        return self._bounded.reached if self._bounded else None
+
     def left_out(self, tally: Tally) -> LeftOut:
         """What was not needed."""
         if self._renderer is None or self._loaded is None:
@@ -157,12 +171,12 @@ class _Source:
         return tally.left_out(True, self._loaded.left, self._loaded.bytes_left, self._renderer.kept)
 
 
-def frame_hash(shot: Shot, index: int, settings: RenderSettings) -> str:
+def frame_hash(shot: Shot, index: int, settings: RenderSettings, max_error: float = 0.0) -> str:
     """SHA-256 over everything a frame's pixels depend on besides the model."""
     digest = hashlib.sha256()
     facts = {
         "size": [shot.width, shot.height], "kind": shot.camera_kind, "scale": shot.world_scale,
-        "settings": asdict(settings),
+        "settings": asdict(settings), **({"max_error": max_error} if max_error else {}),
         "actors": [[actor.person, list(actor.objects), list(actor.bones)] for actor in shot.actors],
     }  # fmt: skip
     digest.update(json.dumps(facts, sort_keys=True).encode())

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from chona_model.adaptive import Reached
 from chona_model.passes import Passes
 from chona_model.sight import Unseen
 
@@ -75,6 +76,7 @@ class BakeReport:
         repeated: those of the written that were copied from a frame that shows the same.
         seconds: in all.
         left_out: what else was spared.
+        reached: what a bound on the error came to, or None without one.
     """
 
     written: int
@@ -82,18 +84,21 @@ class BakeReport:
     repeated: int
     seconds: float
     left_out: LeftOut = LeftOut()
+    reached: Reached | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
             "written": self.written, "skipped": self.skipped, "repeated": self.repeated,
             "seconds": round(self.seconds, 3), "left_out": self.left_out.as_dict(),
+            **({"max_error": self.reached.as_dict()} if self.reached else {}),
         }  # fmt: skip
 
     def sentence(self) -> str:
         """In words, for a terminal."""
         copied = f" ({self.repeated} copied)" if self.repeated else ""
-        return f"{self.written} frames written{copied}, {self.skipped} were up to date, {self.seconds:.1f} s"
+        reached = f"; {self.reached.sentence()}" if self.reached else ""
+        return f"{self.written} frames written{copied}, {self.skipped} were up to date, {self.seconds:.1f} s{reached}"
 
 
 class Tally:

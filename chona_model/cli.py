@@ -145,6 +145,10 @@ def make_parser() -> Parser:
     bake.add_argument("--out", type=Path, required=True, metavar="DIR")
     bake.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
     bake.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
+    bake.add_argument(
+        "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
+        help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
+    )  # fmt: skip
     bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
     bake.add_argument(
         "--passes", type=name_list, default=list(PASSES), metavar="A,B,…",
@@ -271,7 +275,7 @@ def _bake(arguments: argparse.Namespace, progress: Progress) -> int:
     progress.check()
     report = bake(
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
-        device=device, passes=passes,
+        device=device, passes=passes, max_error=arguments.max_error,
     )  # fmt: skip
     words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
     return _finish(progress, words, **report.as_dict())

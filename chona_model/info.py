@@ -27,6 +27,7 @@ def describe(path: Path) -> dict[str, Any]:
         "persons": {name: {"joints_height": height} for name, height in heights.items()},
         "objects": {name: {"size": size} for name, size in sizes.items()},
         "object_distance": header.object_distance, "settings": header.settings, "training": header.training,
+        "trade": header.trade,
     }  # fmt: skip
 
 
@@ -49,10 +50,21 @@ def to_text(description: Mapping[str, Any]) -> str:
         f"persons   {', '.join(persons) or 'none'}",
         f"objects   {', '.join(objects) or 'none'}",
         f"skeleton  {len(bones)} bones: {', '.join(bones)}",
+        *_measured(description["trade"]),
         *_section("training", description["training"]),
         *_section("settings", description["settings"]),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _measured(trade: Mapping[str, Any] | None) -> list[str]:
+    if trade is None:
+        return ["measured  not yet: 'chona trade' says what its presets give and cost"]
+    width, height = trade["size"]
+    rows = [
+        f"  {name}: {each['psnr']:.1f} dB, {each['seconds']:.2g} s a frame" for name, each in trade["presets"].items()
+    ]
+    return [f"measured  on {trade['views']} unseen views, {width} x {height} pixels", *rows]
 
 
 def _section(title: str, content: Mapping[str, Any]) -> list[str]:

@@ -32,6 +32,8 @@ EXACT_COST = 20
 """How many ``final`` frames ``exact`` takes, roughly: only to guess what fits the time."""
 
 SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+LEAST_PIXELS = 64
+"""Pixels of the figure under which a picture says nothing: rather measure for longer."""
 
 
 @dataclass(frozen=True)
@@ -160,12 +162,15 @@ def choose_scale(actor: Actor, view: View, count: int, seconds: float, largest: 
         times.append(time.perf_counter() - began)
         rays.append(picture.rays * base.supersampling**2)
     cost = fit_cost(rays[1:], times[1:])
-    for scale in SCALES:
-        if scale <= largest:
-            one = cost.seconds(actor.count_rays(view.pose, view.camera.scaled(scale), base))
-            if one * (EXACT_COST + count) * LEAST_VIEWS <= seconds:
-                return scale
-    return min(SCALES[-1], largest)
+    smallest = largest
+    for scale in (largest, *(scale for scale in SCALES if scale < largest)):
+        count_of = actor.count_rays(view.pose, view.camera.scaled(scale), base)
+        if count_of < LEAST_PIXELS * base.supersampling**2:
+            break
+        smallest = scale
+        if cost.seconds(count_of) * (EXACT_COST + count) * LEAST_VIEWS <= seconds:
+            break
+    return smallest
 
 
 def spread(count: int) -> list[int]:

@@ -429,3 +429,17 @@ def test_a_reader_that_goes_away_is_no_traceback(work: Path, tmp_path: Path) -> 
     finally:
         process.kill()
         process.stderr.close()
+
+
+def test_a_bake_within_a_bound_says_what_it_reached(work: Path, tmp_path: Path) -> None:
+    bounded = ("--frames", "0", "--max-error", "0.1")
+    done = bake(work, tmp_path, *bounded, "--progress", "json")
+    assert done.returncode == 0, done.stderr
+    reached = events_of(done.stdout)[-1]["max_error"]
+    assert reached["asked"] == 0.1 and reached["pixels"] > 0
+    assert (reached["error"] <= 0.1) == (reached["unsettled"] == 0)
+    assert bake(work, tmp_path, *bounded).stdout.startswith("0 frames written, 1 were up to date")
+    plain = bake(work, tmp_path, "--frames", "0")
+    assert plain.stdout.startswith("1 frames written"), "a frame with another bound was taken for this one"
+    assert "refined" in bake(work, tmp_path, *bounded).stdout
+    refused(bake(work, tmp_path, "--max-error", "2"), ["--max-error", "'2'", "at most 0.5"])
