@@ -119,6 +119,7 @@ class SkinningVolume(nn.Module):
         count = len(grid.points)
         self.logits = nn.Parameter(torch.zeros(count, bones))
         self.rendering_weights: Tensor | None = None
+        self._blended = 0
         self._some: tuple[Tensor, Tensor, Tensor] | None = None
         self.offset_rank = offset_rank
         if offset_rank:
@@ -161,6 +162,11 @@ class SkinningVolume(nn.Module):
             matrices = matrices + columns.reshape(poses, -1, 16)
         return matrices
 
+    @property
+    def blended_bones(self) -> int:
+        """How many bones the last pose for rendering blended: those that were not at rest."""
+        return self._blended
+
     def _weights_of(self, bones: Tensor) -> Tensor:
         """[M, K + 1] weights of K bones and ones; kept for as long as the same bones are asked for."""
         if self.rendering_weights is None:
@@ -179,6 +185,7 @@ class SkinningVolume(nn.Module):
         """
         away, moving = moving_bones(transforms)
         still = torch.eye(4, dtype=away.dtype, device=away.device).reshape(1, 16)
+        self._blended = len(moving)
         if len(moving) == 0:
             matrices = still.repeat(len(self.logits), 1)
         else:

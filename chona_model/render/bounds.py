@@ -10,6 +10,7 @@ from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.figure import Figure, Rig
 from chona_model.kernels.marching import splat_spans
 from chona_model.render.posed import camera_matrix
+from chona_model.render.sides import touches_picture
 
 BODY_REACH = 0.22
 """Nothing of a body is farther from its bones than this, metres: flesh, clothes, hair and the offset."""
@@ -31,18 +32,26 @@ def figure_spans(figure: Figure, rig: Rig, boxes: Sequence[Box], camera: Camera)
     """
     near = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
     far = np.zeros((camera.height, camera.width), dtype=np.float32)
-    matrix, flat = camera_matrix(figure, camera), camera.kind == ORTHOGRAPHIC
+    matrix = camera_matrix(figure, camera)
     bones = len(rig.skeleton)
     if figure.present[0]:
         points = _posed(figure.transforms[:bones], _bone_points(rig))
-        splat_spans(points, matrix, camera.intrinsics, flat, BODY_REACH + 0.5 * SPACING, near, far)
+        _splat(points, matrix, camera, BODY_REACH + 0.5 * SPACING, near, far)
     places = rig.canonical_objects(len(boxes))
     for slot, box in enumerate(boxes):
         points = _box_points(box) + places[slot]
         points = _posed(figure.transforms[bones + slot][None], points[None])
         # A cell's half diagonal: every point of the box is within it of a sample.
-        splat_spans(points, matrix, camera.intrinsics, flat, OBJECT_MARGIN + 0.87 * SPACING, near, far)
+        _splat(points, matrix, camera, OBJECT_MARGIN + 0.87 * SPACING, near, far)
     return near, far
+
+
+def _splat(
+    points: np.ndarray, matrix: np.ndarray, camera: Camera, reach: float, near: np.ndarray, far: np.ndarray
+) -> None:
+    """Spans of pixels that see within ``reach`` of points [M, 3] in root space; points beside the camera have none."""
+    touching = touches_picture(points.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3], reach, camera)
+    splat_spans(points[touching], matrix, camera.intrinsics, camera.kind == ORTHOGRAPHIC, reach, near, far)
 
 
 def _bone_points(rig: Rig) -> np.ndarray:

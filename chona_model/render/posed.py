@@ -12,6 +12,7 @@ from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.figure import Figure
 from chona_model.kernels.marching import mark_starts, splat_spans
 from chona_model.render.occupancy import PartCells
+from chona_model.render.sides import touches_picture
 from chona_model.skeleton import translation
 
 POSED_CELL = 0.02
@@ -121,7 +122,7 @@ def window_of(posed: PosedPart, figure: Figure, camera: Camera) -> Window:
         return Window(0, 0, 0, 0)
     matrix = camera_matrix(figure, camera)
     points = posed.outline.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
-    ahead = points[points[:, 2] + radius > 0.0]
+    ahead = points[touches_picture(points, radius, camera)]
     if len(ahead) == 0:
         return Window(0, 0, 0, 0)
     flat, depth = camera.kind == ORTHOGRAPHIC, ahead[:, 2]
@@ -158,12 +159,13 @@ def depth_spans(
     window = window or Window(0, camera.height, 0, camera.width)
     size = (max(window.bottom - window.top, 0), max(window.right - window.left, 0))
     near, far = real(np.full(size, np.inf, dtype=np.float32)), real(np.zeros(size, dtype=np.float32))
-    intrinsics = camera.intrinsics.copy()
+    intrinsics, matrix, reach = camera.intrinsics.copy(), camera_matrix(figure, camera), posed.reach * SPREAD
     intrinsics[:2, 2] -= window.left, window.top
+    # Cells beside the camera would be splatted over every pixel, as those around it are.
+    touching = touches_picture(posed.outline.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3], reach, camera)
     splat_spans(
-        real(posed.outline), real(camera_matrix(figure, camera)), real(intrinsics), camera.kind == ORTHOGRAPHIC,
-        posed.reach * SPREAD, near, far,
-    )  # fmt: skip
+        real(posed.outline[touching]), real(matrix), real(intrinsics), camera.kind == ORTHOGRAPHIC, reach, near, far
+    )
     return near, far
 
 

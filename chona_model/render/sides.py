@@ -34,3 +34,16 @@ def depth_inside(points: np.ndarray, camera: Camera) -> np.ndarray:
     """
     sides = picture_sides(camera)
     return points @ sides[:, :3].T + sides[:, 3]
+
+
+def touches_picture(points: np.ndarray, reach: float, camera: Camera) -> np.ndarray:
+    """[K] bool: points [K, 3] in camera space with a pixel's ray within ``reach`` metres of them, or almost.
+
+    What stands beside the camera is not in its picture, however near it is.
+    """
+    sides = picture_sides(camera)
+    # Side by side: a reduction over [K, 5] takes many times as long.
+    touched = np.ones(len(points), dtype=bool)
+    for side in sides:
+        touched &= points @ side[:3] + side[3] > -reach
+    return touched
