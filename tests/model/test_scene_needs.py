@@ -12,14 +12,13 @@ import pytest
 import torch
 from exact_cases import OBJECT_DISTANCE, REST_JOINTS, small_model
 from safetensors.torch import load_file
+from scene_files import NO_BONES, NO_OBJECTS, PLACES, grid_file, moved, without_objects, without_person
 from scipy.spatial.transform import Rotation
-from tiny_capture import tiny_capture
-from tiny_models import lit, tiny_trainer
 
 from chona_model import grid_view
 from chona_model.actor import Actor
 from chona_model.camera import ORTHOGRAPHIC, Camera
-from chona_model.data.dataset import Dataset, ObjectShape, Person, Pose
+from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.exact_actor import ExactActor
 from chona_model.formats.model_file import ModelFileError
 from chona_model.grid_actor import GridActor
@@ -28,25 +27,7 @@ from chona_model.render.posed import window_of
 from chona_model.settings import RENDER_PRESETS, RenderSettings
 from chona_model.skeleton import SMPL, forward_kinematics, translation
 
-STEPS = 60
-NO_BONES, NO_OBJECTS = np.zeros((0, 4, 4)), np.zeros((0, 4, 4))
 CHANNELS = ("rgb", "alpha", "depth", "human", "object", "confidence")
-
-
-@cache
-def grid_file() -> tuple[Path, Dataset]:
-    """A model of Sub01, Sub02, box01, box02 and box03 whose offset and light are large enough to be seen."""
-    dataset = tiny_capture(Path(mkdtemp()), persons=2, objects=3, frames=1, cameras=2, size=(48, 36))
-    trainer = tiny_trainer(dataset)
-    for step in range(STEPS):
-        trainer.step(step, step / STEPS)
-    actor = GridActor(lit(trainer.model))
-    with torch.no_grad():
-        for index in range(2):
-            actor.model.volume(index).offset_shapes.normal_(std=0.01, generator=torch.manual_seed(index))
-    path = Path(mkdtemp()) / "model.safetensors"
-    save_actor(path, actor, "chona", {}, {})
-    return path, dataset
 
 
 @cache
@@ -63,14 +44,6 @@ def exact_file() -> Path:
 def cast_of(pose: Pose, path: Path) -> tuple[Actor, LoadReport]:
     """The actor loaded with what a pose shows."""
     return load_with_report(path, persons=[pose.person] if pose.person else [], objects=pose.objects)
-
-
-def without_objects(pose: Pose) -> Pose:
-    return Pose(pose.person, (), pose.world_from_bone, NO_OBJECTS)
-
-
-def without_person(pose: Pose) -> Pose:
-    return Pose(None, pose.objects, NO_BONES, pose.world_from_object)
 
 
 # Loading
@@ -194,15 +167,6 @@ def count(actor: GridActor, pose: Pose, camera: Camera, settings: RenderSettings
         return 0, 0, 0
     view = grid_view.render_view(actor.model, ready, camera, settings, window)
     return len(view.rows), view.evaluated, int(view.values[:, 7].sum())
-
-
-def moved(matrices: np.ndarray, camera: Camera, place: tuple[float, float, float]) -> np.ndarray:
-    """Frames moved together so that the first lies at ``place`` in camera space, metres."""
-    way = camera.world_from_camera[:3, :3] @ np.array(place) + camera.world_from_camera[:3, 3] - matrices[0, :3, 3]
-    return translation(way) @ matrices
-
-
-PLACES = {"behind": (0.0, 0.0, -2.0), "right": (4.0, 0.0, 2.0), "above": (0.0, -3.0, 2.0), "beside": (2.5, 0.0, 0.0)}
 
 
 @pytest.fixture(scope="module")

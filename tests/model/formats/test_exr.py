@@ -5,9 +5,11 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +24,7 @@ from chona_model.formats.exr import (
     read_frame,
     write_frame,
 )
+from chona_model.passes import Passes
 
 HEADER = FrameHeader("a" * 64, "b" * 64, "final", '{"samples": 64}', 1.5, -3)
 NAMES = ("combined", "depth", "human", "object", "confidence")
@@ -150,3 +153,35 @@ def test_another_program_reads_the_frame(tmp_path: Path) -> None:
     assert "zip" in text
     assert f'chona:model (type string): "{"a" * 64}"' in text
     assert "chona:frame (type int): -3" in text
+
+
+@pytest.mark.parametrize("missing", [("depth",), ("human", "object"), ("confidence",), NAMES[1:]])
+def test_passes_that_are_not_there_stay_so(tmp_path: Path, missing: tuple[str, ...]) -> None:
+    path = tmp_path / "a.exr"
+    layers = replace(_layers(5, 4), **dict.fromkeys(missing))
+    write_frame(path, layers, HEADER)
+    back, _ = read_frame(path)
+    assert [name for name in NAMES if getattr(back, name) is None] == list(missing)
+    assert back.passes == layers.passes
+    assert is_finished(path, HEADER.model, HEADER.shot, layers.passes)
+    assert not is_finished(path, HEADER.model, HEADER.shot)
+
+
+def test_half_of_the_mattes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExrError, match="both or none"):
+        write_frame(tmp_path / "a.exr", replace(_layers(5, 4), human=None), HEADER)
+
+
+def test_frames_from_before_passes_could_be_chosen_have_them_all(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    write_frame(path, _layers(5, 4), HEADER)
+    with OpenEXR.File(str(path)) as file:
+        header, channels = dict(file.header()), dict(file.channels())
+    del header["chona:passes"]
+    OpenEXR.File(header, {name: channel.pixels for name, channel in channels.items()}).write(str(path))
+    assert is_finished(path, HEADER.model, HEADER.shot)
+    assert read_frame(path)[0].passes == Passes()
+    del channels["CHONA.Depth.Z"]
+    OpenEXR.File(header, {name: channel.pixels for name, channel in channels.items()}).write(str(path))
+    with pytest.raises(ExrError, match="passes combined,mattes,confidence, its header says combined,depth,"):
+        read_frame(path)
