@@ -13,7 +13,9 @@ tune()  # before torch is imported
 
 from benchmarks.common import Bench, parser  # noqa: E402
 
-SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact", "distilled")
+SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact", "distilled", "recovery", "numerics")
+WITHOUT_DATA = {"recovery", "numerics"}
+"""Subjects that need no capture; ``recovery`` also measures the poses of one that is there."""
 
 
 def main() -> int:
@@ -25,7 +27,7 @@ def main() -> int:
     if unknown:
         options.error(f"'{unknown[0]}' is no subject; there are {', '.join(SUBJECTS)}")
     bench = Bench.of(chosen)
-    if not bench.data.is_dir():
+    if not bench.data.is_dir() and not set(chosen.subjects or SUBJECTS) <= WITHOUT_DATA:
         options.error(f"there is no capture {bench.data}; 'make demo' makes one, or name yours with --data")
     for subject in chosen.subjects or SUBJECTS:
         importlib.import_module(f"benchmarks.{subject}").measure(bench)

@@ -24,6 +24,11 @@ OBJECT_GAP = 0.2
 """Between the spheres around objects of neighbouring slots in canonical space, metres."""
 
 
+FARTHEST = 1e6
+"""Entries of matrices relative to the root, metres where they are lengths: beyond, float32 keeps no centimetre, and
+products of two leave its range sooner or later."""
+
+
 def object_places(object_distance: float, slots: int) -> np.ndarray:
     """[N, 3] where the objects of each slot stand in canonical space relative to the root joint, metres.
 
@@ -94,7 +99,8 @@ def make_figure(
         object_slots: how many object bones the model has; missing ones are marked absent.
 
     Raises:
-        ValueError: neither person nor object, more objects than slots, or a value that is not finite.
+        ValueError: neither person nor object, more objects than slots, or a matrix that is not finite or far beyond
+            anything that could be seen; the bone or object is named.
     """
     bones = len(rig.skeleton)
     objects = len(world_from_object)
@@ -102,6 +108,10 @@ def make_figure(
         raise ValueError("a figure needs a person or an object, got neither")
     if objects > object_slots:
         raise ValueError(f"the pose has {objects} objects, the model has room for {object_slots}")
+    names = [f"bone '{name}'" for name in rig.skeleton.names] + [f"object {slot + 1}" for slot in range(object_slots)]
+    if world_from_bone is not None:
+        _refuse_unless(_finite(world_from_bone), names, "has a matrix that is not finite")
+    _refuse_unless(_finite(world_from_object), names[bones:], "has a matrix that is not finite")
     transforms = np.broadcast_to(np.eye(4), (bones + object_slots, 4, 4)).copy()
     present = np.zeros(bones + object_slots, dtype=bool)
     if world_from_bone is not None:
@@ -110,8 +120,6 @@ def make_figure(
     if objects:
         transforms[bones : bones + objects] = world_from_object @ translation(-rig.canonical_objects(objects))
         present[bones : bones + objects] = True
-    if not np.isfinite(transforms).all():
-        raise ValueError("the pose holds a value that is not finite")
     root = transforms[0 if world_from_bone is not None else bones]
     root_from_world = np.eye(4)
     root_from_world[:3, :3] = root[:3, :3].T
@@ -121,7 +129,24 @@ def make_figure(
     relative[:, :3, :3] = root[:3, :3].T @ transforms[:, :3, :3]
     relative[:, :3, 3] = (transforms[:, :3, 3] - root[:3, 3]) @ root[:3, :3]
     relative[~present] = np.eye(4)
+    _refuse_unless(
+        np.abs(relative).max(axis=(1, 2)) <= FARTHEST,
+        names,
+        f"has a matrix with values beyond {FARTHEST:g} (metres) relative to the root",
+    )
     return Figure(relative, root_from_world, present)
+
+
+def _finite(matrices: np.ndarray) -> np.ndarray:
+    """[K] bool of matrices [K, 4, 4]."""
+    return np.array([bool(np.isfinite(matrix).all()) for matrix in matrices], dtype=bool)
+
+
+def _refuse_unless(fine: np.ndarray, names: Sequence[str], complaint: str) -> None:
+    """Raises a ``ValueError`` about the first of ``names`` that is not ``fine``."""
+    if not fine.all():
+        name = names[int(np.argmin(fine))]
+        raise ValueError(f"the pose's {name} {complaint}; expected a rigid matrix, check its animation")
 
 
 def pose_code_size(bones: int, object_slots: int) -> int:

@@ -117,7 +117,7 @@ def encode(
     """Interpolated grid features.
 
     Args:
-        points: [M, 3] metres from each identity's lower corner, ≥ 0.
+        points: [M, 3] metres from each identity's lower corner; outside the grid counts as on its border.
         identity: [M] int32.
         table: [I, L, T, FEATURES].
         gradient: where the fast kernel accumulates the table's gradient; without one the torch twin is used, whose

@@ -18,6 +18,9 @@ from chona_model.skeleton import translation
 POSED_CELL = 0.02
 """Cell of the posed start grids, metres."""
 
+MOST_CELLS = 1 << 27
+"""Of a posed start grid: a cube of 10 m, whose starts take a gigabyte."""
+
 STARTS = 2
 """Canonical starts kept a posed cell: where two body parts meet, both are tried."""
 
@@ -70,6 +73,9 @@ def pose_cells(
         person: occupied cells of the person, or None; posed: [V, 3] where they are in root space, float32.
         objects: occupied cells of each object present, and [3, 4] root space to its frame.
         cell: of the occupancy, metres; chances: starts kept a posed cell, 1 or 2.
+
+    Raises:
+        ValueError: broken bones spread the person over more than ``MOST_CELLS``.
     """
     reach = 0.9 * cell  # half a cell's diagonal, and some stretch
     outline = [(thing.centres[thing.shell] - matrix[:, 3]) @ matrix[:, :3] for thing, matrix in objects]
@@ -82,7 +88,11 @@ def pose_cells(
         # Column by column: a reduction over [V, 3] takes twenty times as long.
         lower, upper = (np.array([of(posed[:, axis]) for axis in range(3)]) for of in (np.min, np.max))
         origin = (lower - reach - POSED_CELL).astype(np.float32)
-        dims = np.ceil((upper + reach + POSED_CELL - origin) / POSED_CELL).astype(np.int64)
+        extent = upper + reach + POSED_CELL - origin
+        if not np.prod(extent / POSED_CELL, dtype=np.float64) <= MOST_CELLS:
+            size = " x ".join(f"{length:.3g}" for length in extent)
+            raise ValueError(f"the pose spreads the person over {size} m; expected about its own size, check its bones")
+        dims = np.ceil(extent / POSED_CELL).astype(np.int64)
         starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, chances)
     points = np.concatenate(outline) if outline else np.zeros((0, 3))
     return PosedPart(points.astype(np.float32), centres, starts, dims, origin, reach)

@@ -277,12 +277,12 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
         px = (x - starts.origin[0]) * starts.inverse_cell
         py = (y - starts.origin[1]) * starts.inverse_cell
         pz = (z - starts.origin[2]) * starts.inverse_cell
-        if px >= zero and py >= zero and pz >= zero:
+        below = px < np.float32(nx) and py < np.float32(ny) and pz < np.float32(nz)
+        if px >= zero and py >= zero and pz >= zero and below:
             ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
-            if ix < nx and iy < ny and iz < nz:
-                row = starts.row[ix + nx * (iy + ny * iz)]
-                if row >= 0:
-                    n = _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block, found)
+            row = starts.row[ix + nx * (iy + ny * iz)]
+            if row >= 0:
+                n = _on_body(r, t, row, n, x, y, z, volume, starts, parts, limits, apart, block, found)
         for slot in range(len(parts.slot_part)):
             part = parts.slot_part[slot]
             if part < 0 or t < block.enter[r, slot] or t > block.leave[r, slot]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chona_model.kernels.cpu.jit import entry, inlined, inner
+from chona_model.kernels.cpu.jit import corner_of, entry, inlined, inner, within
 from chona_model.kernels.cpu.simd import fma, load4, splat4, store
 
 FEATURES = 4
@@ -50,13 +50,10 @@ def corner_weights(fx, fy, fz):
 @inlined
 def _corners(points, m, lower, which, scale, nx, ny, nz, dense, mask):
     """Rows and weights of the corners around point ``m``, which lies in the part ``which``."""
-    zero = np.float32(0.0)
-    px = max(points[m, 0] - lower[which, 0], zero) * scale
-    py = max(points[m, 1] - lower[which, 1], zero) * scale
-    pz = max(points[m, 2] - lower[which, 2], zero) * scale
-    ix, iy, iz = np.int32(px), np.int32(py), np.int32(pz)
-    if dense:
-        ix, iy, iz = min(ix, nx - 2), min(iy, ny - 2), min(iz, nz - 2)
+    px = within((points[m, 0] - lower[which, 0]) * scale, np.float32(nx - 1))
+    py = within((points[m, 1] - lower[which, 1]) * scale, np.float32(ny - 1))
+    pz = within((points[m, 2] - lower[which, 2]) * scale, np.float32(nz - 1))
+    ix, iy, iz = corner_of(px, nx), corner_of(py, ny), corner_of(pz, nz)
     rows = corner_rows(ix, iy, iz, nx, ny, dense, mask)
     return rows, corner_weights(px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz))
 
@@ -87,7 +84,7 @@ def encode(level, points, identity, lower, table, inverse_cells, dims, dense, ro
     """Interpolated features of one level.
 
     Args:
-        points: [M, 3] in the identity's frame, metres; below its lower corner counts as on it.
+        points: [M, 3] in the identity's frame, metres; outside the grid counts as on its border, NaN gives NaN.
         identity: [M] int32 index of the identity whose tables to read; lower: [I, 3] lower corners.
         table: [I, L, T, FEATURES].
         inverse_cells: [L] 1 / cell size, 1/m.
@@ -143,16 +140,17 @@ def encode_backward_points(
     for m in range(begin, end):
         gx = gy = gz = zero
         which = identity[m]
-        x = max(points[m, 0] - lower[which, 0], zero)
-        y = max(points[m, 1] - lower[which, 1], zero)
-        z = max(points[m, 2] - lower[which, 2], zero)
+        x, y, z = points[m, 0] - lower[which, 0], points[m, 1] - lower[which, 1], points[m, 2] - lower[which, 2]
         for level in range(levels):
             scale, is_dense = inverse_cells[level], dense[level]
             nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
-            px, py, pz = x * scale, y * scale, z * scale
-            ix, iy, iz = np.int32(px), np.int32(py), np.int32(pz)
-            if is_dense:
-                ix, iy, iz = min(ix, nx - 2), min(iy, ny - 2), min(iz, nz - 2)
+            px, py, pz = (
+                within(x * scale, np.float32(nx - 1)), within(y * scale, np.float32(ny - 1)),
+                within(z * scale, np.float32(nz - 1)),
+            )  # fmt: skip
+            ix, iy, iz = corner_of(px, nx), corner_of(py, ny), corner_of(pz, nz)
+            # Outside the grid the encoding is that of its border: constant along the axis.
+            inside_x, inside_y, inside_z = px == x * scale, py == y * scale, pz == z * scale
             fx, fy, fz = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
             rows = corner_rows(ix, iy, iz, nx, ny, is_dense, mask)
             column = level * FEATURES
@@ -168,9 +166,12 @@ def encode_backward_points(
                     + table[which, level, row, 2] * grad_out[m, column + 2]
                     + table[which, level, row, 3] * grad_out[m, column + 3]
                 ) * scale
-                gx += value * wy * wz * (one if dx else -one)
-                gy += value * wx * wz * (one if dy else -one)
-                gz += value * wx * wy * (one if dz else -one)
+                if inside_x:
+                    gx += value * wy * wz * (one if dx else -one)
+                if inside_y:
+                    gy += value * wx * wz * (one if dy else -one)
+                if inside_z:
+                    gz += value * wx * wy * (one if dz else -one)
         grad_points[m, 0] = gx
         grad_points[m, 1] = gy
         grad_points[m, 2] = gz

@@ -9,8 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from chona_model.kernels.cpu.jit import RELAXED
 
-@njit(parallel=True, fastmath=True, cache=True)
+
+@njit(parallel=True, fastmath=RELAXED, cache=True)
 def integrate(first, depth, delta, density, rgb, is_object, stop, out, weights):
     """Front to back.
 
@@ -51,7 +53,7 @@ def integrate(first, depth, delta, density, rgb, is_object, stop, out, weights):
         out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5] = o0, o1, o2, o3, o4, o5
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@njit(parallel=True, fastmath=RELAXED, cache=True)
 def integrate_backward(first, depth, delta, density, rgb, is_object, weights, stop, grad_out, grad_density, grad_rgb):
     """Gradients of ``integrate``'s rgb, alpha and object columns ([R, 6]; the depth column's is used too).
 

@@ -26,10 +26,11 @@ def cell_at(x, y, z, part, first, dims, origins, inverse_cell):
     pz = (z - origins[part, 2]) * inverse_cell
     if not (px >= 0.0 and py >= 0.0 and pz >= 0.0):  # nor is a point that is not a number
         return -1
-    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
     nx, ny = dims[part, 0], dims[part, 1]
-    if ix >= nx or iy >= ny or iz >= dims[part, 2]:
+    # Compared before they become whole numbers: those have no room for 1e30.
+    if px >= np.float32(nx) or py >= np.float32(ny) or pz >= np.float32(dims[part, 2]):
         return -1
+    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
     return first[part] + ix + nx * (iy + ny * iz)
 
 
@@ -74,18 +75,18 @@ def march(
             px = (x - grid_origins[p, 0]) * grid_inverse_cell
             py = (y - grid_origins[p, 1]) * grid_inverse_cell
             pz = (z - grid_origins[p, 2]) * grid_inverse_cell
-            if px >= 0.0 and py >= 0.0 and pz >= 0.0:
+            below = px < np.float32(gx) and py < np.float32(gy) and pz < np.float32(gz)
+            if px >= 0.0 and py >= 0.0 and pz >= 0.0 and below:
                 ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
-                if ix < gx and iy < gy and iz < gz:
-                    cell = grid_first[p] + ix + gx * (iy + gy * iz)
-                    for chance in range(grid_starts.shape[1]):
-                        start = grid_starts[cell, chance]
-                        if start < 0:
-                            break
-                        if fill:
-                            ray[cursor], depth[cursor], kind[cursor], voxel[cursor] = r, t, BODY, start
-                            points[cursor, 0], points[cursor, 1], points[cursor, 2] = x, y, z
-                        cursor += 1
+                cell = grid_first[p] + ix + gx * (iy + gy * iz)
+                for chance in range(grid_starts.shape[1]):
+                    start = grid_starts[cell, chance]
+                    if start < 0:
+                        break
+                    if fill:
+                        ray[cursor], depth[cursor], kind[cursor], voxel[cursor] = r, t, BODY, start
+                        points[cursor, 0], points[cursor, 1], points[cursor, 2] = x, y, z
+                    cursor += 1
             for slot in range(slots):
                 part = slot_part[p, slot]
                 if part < 0:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chona_model.kernels.cpu.jit import inlined, inner
+from chona_model.kernels.cpu.jit import corner_of, inlined, inner, within
 from chona_model.kernels.cpu.simd import LANES, fma, load, splat, store
 
 SMALLEST_DETERMINANT = np.float32(0.05)
@@ -50,10 +50,10 @@ def _blend(x, y, z, volume, work):
     """A(x) and ∂A/∂x, ∂A/∂y, ∂A/∂z, sixteen floats each, to ``work``."""
     one, edge, zero = np.float32(1.0), np.float32(1e-3), np.float32(0.0)
     cell, nx, ny = volume.inverse_cell, volume.dims[0], volume.dims[1]
-    px = min(max((x - volume.origin[0]) * cell, zero), np.float32(nx - 1) - edge)
-    py = min(max((y - volume.origin[1]) * cell, zero), np.float32(ny - 1) - edge)
-    pz = min(max((z - volume.origin[2]) * cell, zero), np.float32(volume.dims[2] - 1) - edge)
-    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
+    px = within((x - volume.origin[0]) * cell, np.float32(nx - 1) - edge)
+    py = within((y - volume.origin[1]) * cell, np.float32(ny - 1) - edge)
+    pz = within((z - volume.origin[2]) * cell, np.float32(volume.dims[2] - 1) - edge)
+    ix, iy, iz = corner_of(px, nx), corner_of(py, ny), corner_of(pz, volume.dims[2])
     u, v, w = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
     total = splat(zero)
     along_x, along_y, along_z = total, total, total

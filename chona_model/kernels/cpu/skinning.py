@@ -10,15 +10,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from chona_model.kernels.cpu.jit import RELAXED, corner_of, within
 
-@njit(inline="always", fastmath=True)
+
+@njit(inline="always", fastmath=RELAXED)
 def warp(x, y, z, matrices, nodes, first_node, nx, ny, nz, first_row, ox, oy, oz, inverse_cell):
     """f(x) and its Jacobian: (fx, fy, fz, j00, j01, …, j22)."""
     one = np.float32(1.0)
-    px = min(max((x - ox) * inverse_cell, np.float32(0.0)), np.float32(nx - 1) - np.float32(1e-3))
-    py = min(max((y - oy) * inverse_cell, np.float32(0.0)), np.float32(ny - 1) - np.float32(1e-3))
-    pz = min(max((z - oz) * inverse_cell, np.float32(0.0)), np.float32(nz - 1) - np.float32(1e-3))
-    ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
+    px = within((x - ox) * inverse_cell, np.float32(nx - 1) - np.float32(1e-3))
+    py = within((y - oy) * inverse_cell, np.float32(ny - 1) - np.float32(1e-3))
+    pz = within((z - oz) * inverse_cell, np.float32(nz - 1) - np.float32(1e-3))
+    ix, iy, iz = corner_of(px, nx), corner_of(py, ny), corner_of(pz, nz)
     u, v, w = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
     f0 = f1 = f2 = np.float32(0.0)
     j00 = j01 = j02 = j10 = j11 = j12 = j20 = j21 = j22 = np.float32(0.0)
@@ -49,7 +51,7 @@ def warp(x, y, z, matrices, nodes, first_node, nx, ny, nz, first_row, ox, oy, oz
     return f0, f1, f2, j00, j01, j02, j10, j11, j12, j20, j21, j22
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@njit(parallel=True, fastmath=RELAXED, cache=True)
 def invert(
     posed, starts, pose, matrices, nodes, first_node, dims, first_row, origins, inverse_cell, steps, tolerance,
     max_step, roots, residuals,
@@ -100,7 +102,7 @@ def invert(
         residuals[m] = best
 
 
-@njit(fastmath=True, nogil=True, cache=True)
+@njit(fastmath=RELAXED, nogil=True, cache=True)
 def invert_backward(
     roots, grad_roots, pose, matrices, nodes, first_node, dims, first_row, origins, inverse_cell, min_determinant,
     grad_matrices,
@@ -128,10 +130,10 @@ def invert_backward(
         l0 = -(c00 * g0 + c10 * g1 + c20 * g2) / determinant
         l1 = -(c01 * g0 + c11 * g1 + c21 * g2) / determinant
         l2 = -(c02 * g0 + c12 * g1 + c22 * g2) / determinant
-        px = min(max((x - ox) * inverse_cell, np.float32(0.0)), np.float32(nx - 1) - np.float32(1e-3))
-        py = min(max((y - oy) * inverse_cell, np.float32(0.0)), np.float32(ny - 1) - np.float32(1e-3))
-        pz = min(max((z - oz) * inverse_cell, np.float32(0.0)), np.float32(nz - 1) - np.float32(1e-3))
-        ix, iy, iz = np.int64(px), np.int64(py), np.int64(pz)
+        px = within((x - ox) * inverse_cell, np.float32(nx - 1) - np.float32(1e-3))
+        py = within((y - oy) * inverse_cell, np.float32(ny - 1) - np.float32(1e-3))
+        pz = within((z - oz) * inverse_cell, np.float32(nz - 1) - np.float32(1e-3))
+        ix, iy, iz = corner_of(px, nx), corner_of(py, ny), corner_of(pz, nz)
         u, v, w = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
         for corner in range(8):
             dx, dy, dz = corner & 1, (corner >> 1) & 1, corner >> 2
@@ -153,7 +155,7 @@ def invert_backward(
             row[11] += w2
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@njit(parallel=True, fastmath=RELAXED, cache=True)
 def forward(points, matrices, nodes, dims, origin, inverse_cell, out):
     """Forward skinning f(x) of one pose: points [M, 3] canonical to ``out`` [M, 3] root space, metres."""
     for m in prange(len(points)):

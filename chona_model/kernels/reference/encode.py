@@ -20,7 +20,7 @@ def encode(points: Tensor, identity: Tensor, table: Tensor, layout: GridLayout) 
     """Interpolated features of every level.
 
     Args:
-        points: [M, 3] metres from each identity's lower corner, ≥ 0.
+        points: [M, 3] metres from each identity's lower corner; outside the grid counts as on its border.
         identity: [M] integer.
         table: [I, L, T, F].
         layout: the grid's shape.
@@ -44,10 +44,13 @@ def encode_levels(
     first_row = identity.long() * levels
     columns = []
     for level in range(levels):
-        scaled = points * cells[level]
-        lower = scaled.detach().long()
-        if dense[level]:
-            lower = torch.stack([lower[:, axis].clamp(max=dims[level][axis] - 2) for axis in range(3)], dim=1)
+        scaled = torch.stack(
+            [(points[:, axis] * cells[level]).clamp(0.0, dims[level][axis] - 1) for axis in range(3)], dim=1
+        )
+        # Whatever a conversion makes of a NaN, no index leaves the grid: the NaN stays in the weights.
+        lower = torch.stack(
+            [scaled.detach()[:, axis].long().clamp(0, dims[level][axis] - 2) for axis in range(3)], dim=1
+        )
         share = scaled - lower
         weight = torch.where(offsets.bool(), share[:, None], 1.0 - share[:, None])
         weight = weight[..., 0] * weight[..., 1] * weight[..., 2]

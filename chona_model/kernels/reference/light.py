@@ -24,7 +24,7 @@ def normals_at(
     size = dims[part]
     place = (points - origins[part]) * inverse_cell - 0.5
     place = torch.minimum(place.clamp(min=0.0), (size - 1).to(points.dtype) - 1e-3)
-    lower = place.long()
+    lower = torch.minimum(place.long().clamp(min=0), (size - 2).clamp(min=0))  # whatever a conversion makes of a NaN
     offsets = corner_offsets(points.device)
     share = (place - lower)[:, None]
     weight = torch.where(offsets.bool(), share, 1.0 - share).prod(dim=-1)

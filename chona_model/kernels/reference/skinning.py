@@ -111,7 +111,7 @@ class _Volume:
         weights' slopes [M, 8, 3]."""
         inside = (points - self.origins) * self.inverse_cell
         inside = torch.minimum(inside.clamp(min=0.0), (self.dims - 1).to(points.dtype) - INSIDE)
-        lower = inside.long()
+        lower = torch.minimum(inside.long().clamp(min=0), self.dims - 2)  # whatever a conversion makes of a NaN
         share = (inside - lower)[:, None]
         x, y, z = (lower[:, None] + self.offsets).unbind(dim=-1)
         nx, ny = self.dims[:, :1], self.dims[:, 1:2]
