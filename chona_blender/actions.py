@@ -14,12 +14,14 @@ from .errors import ChonaError
 from .frames import describe_frames
 from .jobs import Job
 from .rig.armature import create_rig
-from .shot import sample_shot, sample_shot_now
+from .rig.cast import ActorPlan
+from .shot import sample_actors, sample_actors_now
 from .shot_file import Shot, save_shot
 from .worker import chona_command
 from .worker_check import check_worker
 
 if TYPE_CHECKING:
+    from .actor_properties import CHONA_PG_actor
     from .properties import CHONA_PG_settings
 
 
@@ -63,7 +65,7 @@ def writable_folder(path: str, what: str) -> Path:
 
 def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> str:
     """Make an armature and an empty for each object, and point the settings to them. Returns words for a report."""
-    settings = settings_of(scene)
+    settings = settings_of(scene).ensure_actor()
     header = model_cache.load(settings.model_path)
     person = settings.person or next(iter(header.persons), "")
     names = list(header.objects) if object_names is None else object_names
@@ -79,9 +81,8 @@ def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> s
 def start_bake(scene: bpy.types.Scene) -> Bake:
     """Check everything, write the shot beside the frames and start the worker on it."""
     settings = settings_of(scene)
-    header = model_cache.load(settings.model_path)
+    plans = actor_plans(scene)
     name = bake_name(settings)
-    empties = _empties(settings)
     frames = settings.frames()
     if not frames:
         first, last = (
@@ -93,37 +94,49 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
     folder = writable_folder(settings.output_folder, "output folder")
     python = _worker_python()
     shot = folder / f"{name}.shot.npz"
-    sampled = sample_shot(
-        scene, settings.armature, empties, settings.person or None, list(empties), frames, header, name
-    )
+    sampled = sample_actors(scene, plans, frames, name)
     save_shot(shot, sampled)
-    arguments = ["bake", "--model", str(absolute(settings.model_path)), "--shot", str(shot), "--out", str(folder)]
+    arguments = ["bake", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot), "--out", str(folder)]
     arguments += ["--preset", settings.preset, *_device(), *(["--overwrite"] if settings.overwrite else [])]
     job = Job(f"Bake {name} ({settings.preset}, {describe_frames(frames)})", chona_command(python, arguments))
     return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
 
 
 def sample_now(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Shot:
-    """The actor and the camera as the scene shows them, edits without a key included; nothing is changed."""
+    """Actors and the camera as the scene shows them, edits without a key included; nothing is changed.
+
+    The worker that is up holds one model, the selected actor's: actors of other models are left out.
+    """
+    chosen = model_cache.load(settings_of(scene).model_path).path
+    return sample_actors_now(scene, depsgraph, [plan for plan in actor_plans(scene) if plan.header.path == chosen])
+
+
+def actor_plans(scene: bpy.types.Scene) -> list[ActorPlan]:
+    """Everybody that is rendered, after a look at whether there is anybody at all."""
     settings = settings_of(scene)
-    header = model_cache.load(settings.model_path)
-    empties = _empties(settings)
-    return sample_shot_now(scene, depsgraph, settings.armature, empties, settings.person or None, list(empties), header)
+    actors = settings.used_actors()
+    if not actors:
+        model_cache.load(settings.model_path)  # where no model is set, that is what is wrong
+        raise ChonaError("there is nothing to render: every actor is switched off; switch one on under Rig")
+    return [actor_plan(actor) for actor in actors]
 
 
-def _empties(settings: CHONA_PG_settings) -> dict[str, bpy.types.Object]:
-    """What moves each object that is rendered, after a look at whether there is an actor at all."""
-    if settings.person and settings.armature is None:
-        raise ChonaError(f"no armature poses {settings.person}; press Create Rig, or choose an armature under Rig")
-    objects = list(settings.used_objects())
-    if not settings.person and not objects:
+def actor_plan(actor: CHONA_PG_actor) -> ActorPlan:
+    """What one actor's settings ask for."""
+    header = model_cache.load(actor.model_path)
+    if actor.person and actor.armature is None:
+        raise ChonaError(f"no armature poses {actor.person}; press Create Rig, or choose an armature under Rig")
+    objects = list(actor.used_objects())
+    if not actor.person and not objects:
         raise ChonaError("there is nothing to render: neither a person nor an object is chosen; choose one under Rig")
     for item in objects:
         if item.empty is None or item.empty.name not in bpy.data.objects:
             raise ChonaError(
                 f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
             )
-    return {item.name: item.empty for item in objects}
+    empties = {item.name: item.empty for item in objects}
+    person, legs = actor.person or None, actor.root_path == "LEGS"
+    return ActorPlan(header, person, actor.armature, empties, actor.chosen_bones(), legs, actor.name)
 
 
 def start_train(scene: bpy.types.Scene) -> Job:

@@ -78,7 +78,8 @@ def object_names(path: str) -> list[str]:
 @bpy.app.handlers.persistent
 def _file_loaded(*_: object) -> None:
     for scene in bpy.data.scenes:
-        refresh(scene.chona.model_path)
+        for actor in scene.chona.actors:
+            refresh(actor.model_path)
 
 
 def register() -> None:

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 
 import bpy
 
-from . import model_cache
+from .actor_properties import RELATIVE_PATH, CHONA_PG_actor, CHONA_PG_object
 
-RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 PRESETS = (
     ("draft", "Draft", "Fastest: for timing and placement"),
     ("preview", "Preview", "Fast: good enough to judge a pose"),
@@ -30,70 +29,22 @@ TRAIN_PRESETS = (
 )
 
 
-def _model_changed(self: "CHONA_PG_settings", _context: bpy.types.Context) -> None:
-    """Read the new model's header once, and fill in what it has only one of."""
-    header = model_cache.refresh(self.model_path)
-    if header is not None and self.person not in header.persons:
-        self.person = next(iter(header.persons), "")
-
-
-def _search_persons(self: "CHONA_PG_settings", _context: bpy.types.Context, text: str) -> list[str]:
-    return [name for name in model_cache.person_names(self.model_path) if text.lower() in name.lower()]
-
-
-def _search_objects(self: "CHONA_PG_object", _context: bpy.types.Context, text: str) -> list[str]:
-    return [name for name in model_cache.object_names(self.id_data.chona.model_path) if text.lower() in name.lower()]
-
-
 def _is_armature(_self: bpy.types.PropertyGroup, candidate: bpy.types.Object) -> bool:
     return candidate.type == "ARMATURE"
 
 
-class CHONA_PG_object(bpy.types.PropertyGroup):
-    """One object of the actor and what moves it."""
-
-    name: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Object",
-        description="Name of the object in the model",
-        search=_search_objects,
-    )
-    empty: bpy.props.PointerProperty(  # type: ignore[valid-type]
-        name="Moved By",
-        description="The empty (or any object) whose position and rotation the object follows",
-        type=bpy.types.Object,
-    )
-    use: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Render",
-        description="Render this object; switched off it is not there and costs nothing",
-        default=True,
-    )
-
-
 class CHONA_PG_settings(bpy.types.PropertyGroup):
-    """Everything that one scene's actor, bake and training need."""
+    """Everything that one scene's actors, bake and training need.
 
-    model_path: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Model",
-        description="Model file (.safetensors) that a training wrote",
-        subtype="FILE_PATH",
-        options=RELATIVE_PATH,
-        update=_model_changed,
+    ``model_path``, ``person``, ``armature`` and ``objects`` are those of the selected actor: most scenes have only one.
+    """
+
+    actors: bpy.props.CollectionProperty(  # type: ignore[valid-type]
+        type=CHONA_PG_actor, name="Actors", description="Everybody and everything that is rendered together"
     )
-    person: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Person",
-        description="Which of the model's people is rendered; empty renders the objects alone",
-        search=_search_persons,
-    )
-    armature: bpy.props.PointerProperty(  # type: ignore[valid-type]
-        name="Armature",
-        description="The armature that poses the person",
-        type=bpy.types.Object,
-        poll=_is_armature,
-    )
-    objects: bpy.props.CollectionProperty(type=CHONA_PG_object, name="Objects")  # type: ignore[valid-type]
-    active_object: bpy.props.IntProperty(  # type: ignore[valid-type]
-        name="Object",
-        description="The selected row of the list of objects",
+    active_actor: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Actor",
+        description="The selected row of the list of actors",
         options={"HIDDEN"},
     )
 
@@ -252,17 +203,61 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
             return list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
         return list(range(self.frame_start, self.frame_end + 1, self.frame_step))
 
+    @property
+    def actor(self) -> CHONA_PG_actor | None:
+        """The selected actor; None where the scene has none."""
+        return self.actors[min(self.active_actor, len(self.actors) - 1)] if self.actors else None
+
+    def ensure_actor(self) -> CHONA_PG_actor:
+        """The selected actor, made if there is none.  Not to be called while drawing."""
+        if not self.actors:
+            self.actors.add()
+            self.active_actor = 0
+        return self.actor  # type: ignore[return-value]
+
+    @property
+    def model_path(self) -> str:
+        """Of the selected actor."""
+        return self.actor.model_path if self.actor else ""
+
+    @model_path.setter
+    def model_path(self, value: str) -> None:
+        self.ensure_actor().model_path = value
+
+    @property
+    def person(self) -> str:
+        """Of the selected actor."""
+        return self.actor.person if self.actor else ""
+
+    @person.setter
+    def person(self, value: str) -> None:
+        self.ensure_actor().person = value
+
+    @property
+    def armature(self) -> bpy.types.Object | None:
+        """Of the selected actor."""
+        return self.actor.armature if self.actor else None
+
+    @armature.setter
+    def armature(self, value: bpy.types.Object | None) -> None:
+        self.ensure_actor().armature = value
+
+    @property
+    def objects(self) -> "bpy.types.bpy_prop_collection | tuple":
+        """Of the selected actor."""
+        return self.actor.objects if self.actor else ()
+
+    def used_actors(self) -> list[CHONA_PG_actor]:
+        """The actors that are to be rendered."""
+        return [actor for actor in self.actors if actor.use]
+
     def used_objects(self) -> Iterator[CHONA_PG_object]:
-        """The objects that are to be rendered."""
-        return (item for item in self.objects if item.use)
+        """The selected actor's objects that are to be rendered."""
+        return self.actor.used_objects() if self.actor else iter(())
 
     def set_objects(self, pairs: dict[str, bpy.types.Object | None]) -> None:
-        """Replace the list of objects."""
-        self.objects.clear()
-        for name, empty in pairs.items():
-            item = self.objects.add()
-            item.name = name
-            item.empty = empty
+        """Replace the selected actor's list of objects."""
+        self.ensure_actor().set_objects(pairs)
 
 
 def register() -> None:

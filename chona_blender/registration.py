@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import bpy
 
-from . import commands, live, model_cache, panels, preferences, properties, worker
+from . import actor_properties, commands, live, model_cache, panels, preferences, properties, worker
 from .jobs import board, remember_error
 from .operators import bake, capture, composite, diagnose, preview, rig, train
 
 CLASSES: tuple[type, ...] = (
-    properties.CHONA_PG_object,
+    actor_properties.CHONA_PG_object,
+    actor_properties.CHONA_PG_bone,
+    actor_properties.CHONA_PG_actor,
     properties.CHONA_PG_settings,
     preferences.CHONA_AP_preferences,
     *rig.CLASSES,

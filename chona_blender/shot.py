@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,10 @@ from bpy.types import Depsgraph, Object, Scene
 from .camera import ImageFormat, image_format
 from .errors import ChonaError
 from .model_header import ModelHeader
-from .rig.mapping import bone_mapping
-from .rig.rest_pose import RestPose, model_rest_pose
-from .rig.rigid import rescale_camera, rigid_pose
-from .rig.sampling import Progress, Samples, check_armature, frame_list, sample, sample_now, stored_overrides
-from .rig.validation import STRETCH_LIMIT
+from .rig.cast import ActorPlan, Cast, cast, unique_labels
+from .rig.rigid import RigidPose, objects_pose, rescale_camera
+from .rig.sampling import Progress, Samples, frame_list, sample_all, sample_now
+from .rig.validation import STRETCH_LIMIT, figure_scale
 from .shot_file import SUFFIX, Shot, save_shot, shot_path
 
 _RESERVED = frozenset('/\\:*?"<>|\0')
@@ -53,88 +51,91 @@ def sample_shot(
         ChonaError: no camera, no frames, no armature, an object without an empty, bones that map to nothing, matrices
             that cannot be made rigid, a panoramic camera.
     """
+    plan = ActorPlan(header, person, armature, {each: empties.get(each) for each in object_names}, overrides or {})
+    return sample_actors(scene, [plan], frames, name, limit=limit, progress=progress)
+
+
+def sample_actors(
+    scene: Scene,
+    plans: Sequence[ActorPlan],
+    frames: Iterable[int],
+    name: str = "shot",
+    *,
+    limit: float = STRETCH_LIMIT,
+    progress: Progress | None = None,
+) -> Shot:
+    """Samples any number of actors and the scene's cameras in one pass; see ``sample_shot``.
+
+    Raises:
+        ChonaError: see ``sample_shot``; also two actors whose figures are scaled differently.
+    """
     numbers = frame_list(frames)
     if not name or name != name.strip() or name.startswith(".") or _RESERVED & set(name):
         raise ChonaError(f"The shot is called '{name}', which cannot start the name of a file. Choose another name")
-    cast = _cast(armature, empties, person, object_names, header, overrides)
+    found = [cast(plan) for plan in plans]
     image = image_format(scene)
-    samples = sample(scene, cast.armature, cast.bones, cast.placed, frames=numbers, image=image, progress=progress)
-    return _shot(scene, cast, samples, image, name, limit)
+    samples = sample_all(scene, [each.subject for each in found], frames=numbers, image=image, progress=progress)
+    return _shot(scene, found, samples, image, name, limit)
 
 
-def sample_shot_now(
-    scene: Scene,
-    depsgraph: Depsgraph,
-    armature: Object | None,
-    empties: Mapping[str, Object | None],
-    person: str | None,
-    object_names: Sequence[str],
-    header: ModelHeader,
-    *,
-    limit: float = STRETCH_LIMIT,
+def sample_actors_now(
+    scene: Scene, depsgraph: Depsgraph, plans: Sequence[ActorPlan], *, limit: float = STRETCH_LIMIT
 ) -> Shot:
-    """A shot of one frame: the actor and the scene's camera as they are now, edits without a key included.
+    """A shot of one frame: actors and the scene's camera as they are now, edits without a key included.
 
     Args:
-        depsgraph: evaluated, of a view layer of ``scene``; for the others see ``sample_shot``.
+        depsgraph: evaluated, of a view layer of ``scene``; for the others see ``sample_actors``.
 
     Raises:
-        ChonaError: see ``sample_shot``; also what the view layer does not evaluate.
+        ChonaError: see ``sample_actors``; also what the view layer does not evaluate.
     """
-    cast = _cast(armature, empties, person, object_names, header, None)
+    found = [cast(plan) for plan in plans]
     image = image_format(scene)
-    samples = sample_now(scene, depsgraph, cast.armature, cast.bones, cast.placed, image)
-    return _shot(scene, cast, samples, image, "live", limit)
+    samples = sample_now(scene, depsgraph, [each.subject for each in found], image)
+    return _shot(scene, found, samples, image, "live", limit)
 
 
-@dataclass(frozen=True)
-class _Cast:
-    """An actor whose parts have been found: ``bones`` of the armature for the model's, an object for each empty."""
-
-    person: str | None
-    armature: Object | None
-    bones: list[str]
-    rest: RestPose | None
-    object_names: Sequence[str]
-    placed: list[Object]
-    header: ModelHeader
-
-
-def _cast(
-    armature: Object | None,
-    empties: Mapping[str, Object | None],
-    person: str | None,
-    object_names: Sequence[str],
-    header: ModelHeader,
-    overrides: Mapping[str, str] | None,
-) -> _Cast:
-    placed = _placed(empties, object_names, header)
-    bones: list[str] = []
-    rest = None
-    if person is not None:
-        joints = header.rest_joints(person)
-        if armature is None:
-            raise ChonaError(f"Person '{person}' has no armature. Create a rig for it or choose an armature")
-        mapping = bone_mapping(
-            check_armature(armature), header.names, {**stored_overrides(armature), **(overrides or {})}
-        )
-        bones = list(mapping.values())
-        rest = model_rest_pose(armature, bones, joints)
-    elif not placed:
-        raise ChonaError("The shot has neither a person nor an object. Choose a person, an object or both")
-    return _Cast(person, armature if rest else None, bones, rest, object_names, placed, header)
+def _poses(found: Sequence[Cast], samples: Sequence[Samples], labels: Sequence[str], limit: float) -> list[RigidPose]:
+    """Every actor's pose, in one common scale: people's own; objects alone follow them."""
+    poses: list[RigidPose | None] = [
+        each.driver.pose(taken, each.object_names, limit=limit, object_limit=limit) if each.driver else None
+        for each, taken in zip(found, samples, strict=True)
+    ]
+    sizes = {label: pose.scale for label, pose in zip(labels, poses, strict=True) if pose is not None}
+    scale = next(iter(sizes.values()), 0.0)
+    for label, size in sizes.items():
+        if abs(size / scale - 1.0) > 1e-3:
+            first = next(iter(sizes))
+            raise ChonaError(
+                f"'{first}' is {scale:.3g} times its natural size and '{label}' {size:.3g} times. Actors of one shot "
+                "need one size: scale their armatures alike, or bake them as two shots"
+            )
+    for index, taken in enumerate(samples):
+        if poses[index] is None:
+            linear = taken.world_from_object[..., :3, :3]
+            own = scale or (figure_scale(linear) if np.isfinite(linear).all() else 1.0) or 1.0
+            placed, dropped = objects_pose(taken, found[index].object_names, own, limit)
+            scale = scale or own
+            poses[index] = RigidPose(np.empty((len(taken.frames), 0, 4, 4)), placed, own, tuple(dropped))
+    return [pose for pose in poses if pose is not None]
 
 
-def _shot(scene: Scene, cast: _Cast, samples: Samples, image: ImageFormat, name: str, limit: float) -> Shot:
-    names, object_names = cast.header.names, cast.object_names
-    pose = rigid_pose(samples, cast.rest, names, object_names, limit=limit, object_limit=limit)
-    cameras = [rescale_camera(row[0], pose.scale) for row in samples.cameras]
+def _shot(
+    scene: Scene, found: Sequence[Cast], samples: Sequence[Samples], image: ImageFormat, name: str, limit: float
+) -> Shot:
+    if not found:
+        raise ChonaError("The shot has no actor. Choose a person, an object or both")
+    labels = unique_labels([each.plan for each in found])
+    poses = _poses(found, samples, labels, limit)
+    scale = poses[0].scale
+    cameras = [rescale_camera(row[0], scale) for row in samples[0].cameras]
     kinds = sorted({camera.kind for camera in cameras})
     if len(kinds) > 1:
         raise ChonaError(
             "The frame range switches between perspective and orthographic cameras. Write one shot for each, with its "
             "own frame range"
         )
+    models = [str(each.plan.header.path) for each in found]
     description = {
         "format": "chona-shot",
         "version": 1,
@@ -145,35 +146,27 @@ def _shot(scene: Scene, cast: _Cast, samples: Samples, image: ImageFormat, name:
         "camera_kind": kinds[0],
         "actors": [
             {
-                "name": cast.armature.name if cast.armature is not None else cast.person or "objects",
-                "person": cast.person,
-                "objects": list(object_names),
-                "bones": list(names) if cast.rest else [],
+                "name": label,
+                "person": each.plan.person,
+                "objects": list(each.object_names),
+                "bones": list(each.plan.header.names) if each.driver else [],
+                **({"model": model} if model != models[0] else {}),
             }
+            for each, label, model in zip(found, labels, models, strict=True)
         ],
     }
     arrays = {
-        "frames": samples.frames,
+        "frames": samples[0].frames,
         "camera.intrinsics": np.stack([camera.intrinsics for camera in cameras]),
         "camera.world_from_camera": np.stack([camera.world_from_camera for camera in cameras]),
         "camera.clip": np.stack([camera.clip for camera in cameras]),
-        "actor.0.world_from_bone": pose.world_from_bone,
-        "actor.0.world_from_object": pose.world_from_object,
     }
-    if pose.scale != 1.0:
-        arrays["world_scale"] = np.array(pose.scale)
-    return Shot(description, arrays, pose.dropped)
-
-
-def _placed(empties: Mapping[str, Object | None], object_names: Sequence[str], header: ModelHeader) -> list[Object]:
-    placed = []
-    for each in object_names:
-        header.extents(each)
-        empty = empties.get(each)
-        if empty is None:
-            raise ChonaError(f"Object '{each}' has no empty. Create a rig with it or choose an empty for it")
-        placed.append(empty)
-    return placed
+    for index, pose in enumerate(poses):
+        arrays[f"actor.{index}.world_from_bone"] = pose.world_from_bone
+        arrays[f"actor.{index}.world_from_object"] = pose.world_from_object
+    if scale != 1.0:
+        arrays["world_scale"] = np.array(scale)
+    return Shot(description, arrays, tuple(dropped for pose in poses for dropped in pose.dropped))
 
 
 def write_shot(

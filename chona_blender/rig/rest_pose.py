@@ -54,7 +54,7 @@ def rest_matrices(armature: Object, bones: Sequence[str]) -> np.ndarray:
     return np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64).reshape(-1, 4, 4)
 
 
-def _axis_rotations() -> list[np.ndarray]:
+def axis_rotations() -> list[np.ndarray]:
     """The 24 rotations that permute axes, ``RX90`` first."""
     rotations = [RX90, np.eye(3)]
     for order in permutations(range(3)):
@@ -87,18 +87,31 @@ def model_rest_pose(armature: Object, bones: Sequence[str], rest_joints: np.ndar
             f"All bones of armature '{armature.name}' start in the same point, the model's spread over "
             f"{length:.2f} m. Choose another armature or another bone mapping"
         )
-    best, best_error, best_scale = RX90, np.inf, 1.0
-    for rotation in _axis_rotations():
-        turned = joints @ rotation.T
-        scale = max((turned * heads).sum() / (turned * turned).sum(), 0.0)
-        error = float(np.linalg.norm(heads - scale * turned) / np.linalg.norm(heads))
-        if error < best_error - 1e-6:  # an earlier one wins where several fit, Blender's usual axes first
-            best, best_error, best_scale = rotation, error, float(scale)
+    best, best_scale, best_error = fit_axes(joints, heads)
     if best_error > SCALED_COPY_ERROR and 0.8 < best_scale < 1.25:
         best_scale = 1.0  # another body in metres
     if best_scale <= 0.0 or abs(best_scale - 1.0) < 1e-5:
         best_scale = 1.0
     return RestPose(tuple(bones), matrices, best, best_scale)
+
+
+def fit_axes(joints: np.ndarray, heads: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """The axes and the unit in which bone heads lie like joints.
+
+    Args:
+        joints, heads: [B, 3] about their means, canonical and armature space.
+
+    Returns:
+        rotation [3, 3] that permutes axes, scale, and the relative error of the fit.
+    """
+    best, best_error, best_scale = RX90, np.inf, 1.0
+    for rotation in axis_rotations():
+        turned = joints @ rotation.T
+        scale = max((turned * heads).sum() / (turned * turned).sum(), 0.0)
+        error = float(np.linalg.norm(heads - scale * turned) / np.linalg.norm(heads))
+        if error < best_error - 1e-6:  # an earlier one wins where several fit, Blender's usual axes first
+            best, best_error, best_scale = rotation, error, float(scale)
+    return best, best_scale, best_error
 
 
 def captured_rest_pose(armature: Object, bones: Sequence[str], metres_per_unit: float, axes: str = "AUTO") -> RestPose:

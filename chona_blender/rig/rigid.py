@@ -69,12 +69,28 @@ def rigid_pose(
         scale = figure_scale(linear) if np.isfinite(linear).all() else 1.0
         scale = scale if scale > 0 and object_limit is not None else 1.0
         world_from_bone = empty
-    rotations, more = project_rotations(linear, scale, "Object", names=object_names, frames=frames, limit=object_limit)
-    world_from_object = _homogeneous(rotations, samples.world_from_object[..., :3, 3] / scale)
-    for name, array in (("bone", world_from_bone), ("object", world_from_object)):
-        if not np.isfinite(array).all():
-            raise ChonaError(f"The position of a {name} is not finite. Check constraints and drivers")
+    world_from_object, more = objects_pose(samples, object_names, scale, object_limit)
+    if not np.isfinite(world_from_bone).all():
+        raise ChonaError("The position of a bone is not finite. Check constraints and drivers")
     return RigidPose(world_from_bone, world_from_object, scale, (*dropped, *more))
+
+
+def objects_pose(
+    samples: Samples, object_names: Sequence[str], scale: float, limit: float | None
+) -> tuple[np.ndarray, list[Dropped]]:
+    """Rigid frames [F, N, 4, 4] of sampled objects in the world divided by ``scale``, and what was dropped.
+
+    Raises:
+        ChonaError: see ``rigid_pose``.
+    """
+    linear = samples.world_from_object[..., :3, :3]
+    rotations, dropped = project_rotations(
+        linear, scale, "Object", names=object_names, frames=samples.frames, limit=limit
+    )
+    placed = _homogeneous(rotations, samples.world_from_object[..., :3, 3] / scale)
+    if not np.isfinite(placed).all():
+        raise ChonaError("The position of an object is not finite. Check constraints and drivers")
+    return placed, dropped
 
 
 def rescale_camera(sample: CameraSample, scale: float) -> CameraSample:

@@ -17,6 +17,7 @@ from bpy.types import Depsgraph, Object, Scene, ViewLayer
 
 from ..camera import CameraSample, ImageFormat, sample_camera, scene_camera
 from ..errors import ChonaError
+from .simulation import played, simulated
 
 Progress = Callable[[int, int, str], None]
 """Called with frames done, frames in all, and what is being done; may raise to stop."""
@@ -31,12 +32,14 @@ class Samples:
         world_from_armature: [F, B, 4, 4] where each bone takes the armature's rest space in the world.
         world_from_object: [F, N, 4, 4] evaluated object matrices.
         cameras: F tuples of C cameras.
+        world_from_rig: [F, 4, 4] the armature object itself; identities without one.
     """
 
     frames: np.ndarray
     world_from_armature: np.ndarray
     world_from_object: np.ndarray
     cameras: tuple[tuple[CameraSample, ...], ...]
+    world_from_rig: np.ndarray
 
 
 def frame_list(frames: Iterable[int]) -> np.ndarray:
@@ -85,15 +88,29 @@ def evaluation_scene(scene: Scene, objects: Iterable[Object]) -> Iterator[Scene]
         bpy.data.scenes.remove(temporary)
 
 
-def _refuse_simulated(scene: Scene, objects: Sequence[Object]) -> None:
-    world = scene.rigidbody_world
-    for each in objects:
-        body = each.rigid_body
-        if world and world.enabled and body and body.type == "ACTIVE" and not body.kinematic:
-            raise ChonaError(
-                f"'{each.name}' is moved by the rigid body simulation, which is not sampled. Bake it to keyframes "
-                "first (Object > Rigid Body > Bake to Keyframes)"
-            )
+@dataclass(frozen=True)
+class Subject:
+    """What one actor is sampled from.
+
+    Attributes:
+        armature: None for objects alone; ``bones`` is empty then.
+        bones: B bone names of the armature.
+        objects: N objects of any kind; their transforms count.
+    """
+
+    armature: Object | None
+    bones: Sequence[str]
+    objects: Sequence[Object]
+
+    def check(self) -> None:
+        """Raises ChonaError where the armature cannot be sampled."""
+        if self.armature is not None or self.bones:
+            check_armature(self.armature)
+
+    @property
+    def items(self) -> list[Object]:
+        """Everything that moves."""
+        return [*self.objects, *([self.armature] if self.armature is not None else [])]
 
 
 def sample(
@@ -107,72 +124,103 @@ def sample(
     cameras: Sequence[Object] | None = None,
     progress: Progress | None = None,
 ) -> Samples:
-    """Samples bones, objects and cameras in one pass over the frames.  Not to be called while drawing.
+    """Samples one actor; see ``sample_all``."""
+    subject = Subject(armature, bones, objects)
+    return sample_all(scene, [subject], frames=frames, image=image, cameras=cameras, progress=progress)[0]
+
+
+def sample_all(
+    scene: Scene,
+    subjects: Sequence[Subject],
+    *,
+    frames: Iterable[int],
+    image: ImageFormat | None = None,
+    cameras: Sequence[Object] | None = None,
+    progress: Progress | None = None,
+) -> list[Samples]:
+    """Samples actors and cameras in one pass over the frames.  Not to be called while drawing.
+
+    Where something hangs on a rigid body simulation, the scene is played from the simulation's start.
 
     Args:
         scene: whose timing (and, with ``cameras`` None, whose camera and markers) count.
-        armature: None for objects alone; ``bones`` must be empty then.
-        bones: B bone names of the armature.
-        objects: N objects (usually empties).
         image: the pixels cameras are sampled for; None samples no camera.
         cameras: C cameras; None takes the one the scene renders each frame with.
+
+    Returns:
+        as many as subjects; cameras are the same in all.
 
     Raises:
         ChonaError: no frames, an armature that cannot be sampled, a camera that cannot be rendered.
     """
     numbers = frame_list(frames)
-    if armature is not None or bones:
-        armature = check_armature(armature)
-    _refuse_simulated(scene, objects)
+    for subject in subjects:
+        subject.check()
     chosen: list[tuple[Object, ...]] = [()] * len(numbers)
     if image is not None:
         chosen = [tuple(cameras) if cameras is not None else (scene_camera(scene, int(n)),) for n in numbers]
-    linked = [*objects, *(each for row in chosen for each in row)] + ([armature] if armature else [])
+    linked = [*(item for subject in subjects for item in subject.items), *(each for row in chosen for each in row)]
     rows: list[tuple[CameraSample, ...]] = []
-    subject = _subject(armature, bones, objects)
-    posed = np.empty((len(numbers), len(bones), 4, 4))
-    placed = np.empty((len(numbers), len(objects), 4, 4))
-    with evaluation_scene(scene, linked) as temporary:
+    readers = [_Reader.of(subject) for subject in subjects]
+    with _frames(scene, linked) as advance:
         for index, number in enumerate(numbers):
-            temporary.frame_set(int(number))
-            depsgraph = temporary.view_layers[0].depsgraph
-            posed[index], placed[index] = subject.read(depsgraph)
+            depsgraph = advance(int(number))
+            for reader in readers:
+                reader.read(depsgraph)
             rows.append(tuple(sample_camera(each, depsgraph, image) for each in chosen[index]) if image else ())
             if progress is not None:
                 progress(index + 1, len(numbers), f"sampled frame {number}")
-    return Samples(numbers, posed, placed, tuple(rows))
+    return [reader.samples(numbers, tuple(rows)) for reader in readers]
 
 
-def sample_now(
-    scene: Scene,
-    depsgraph: Depsgraph,
-    armature: Object | None,
-    bones: Sequence[str],
-    objects: Sequence[Object],
-    image: ImageFormat,
-) -> Samples:
+@contextmanager
+def _frames(scene: Scene, linked: Sequence[Object]) -> Iterator[Callable[[int], Depsgraph]]:
+    """A function from a frame to a depsgraph in which ``linked`` stands as in that frame."""
+    if simulated(scene, linked) is not None:
+        layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
+        for each in linked:
+            _check_evaluated(each, layer)
+        with played(scene, linked) as advance:
+            yield advance
+        return
+    with evaluation_scene(scene, linked) as temporary:
+
+        def advance(number: int) -> Depsgraph:
+            temporary.frame_set(number)
+            return temporary.view_layers[0].depsgraph
+
+        yield advance
+
+
+def sample_now(scene: Scene, depsgraph: Depsgraph, subjects: Sequence[Subject], image: ImageFormat) -> list[Samples]:
     """One frame as the scene shows it: edits without a key count, and nothing is evaluated or changed.
 
     Args:
         depsgraph: evaluated, of a view layer of ``scene``.
-        armature, bones, objects, image: see ``sample``; the camera is the scene's.
+        subjects, image: see ``sample_all``; the camera is the scene's.
 
     Raises:
-        ChonaError: see ``sample``; also what the view layer does not evaluate, because it is hidden or excluded.
+        ChonaError: see ``sample_all``; also what the view layer does not evaluate, because it is hidden or excluded.
     """
-    if armature is not None or bones:
-        armature = check_armature(armature)
+    for subject in subjects:
+        subject.check()
     if scene.camera is None:
         raise ChonaError(f"Scene '{scene.name}' has no camera. Add one and make it the scene's active camera")
-    for each in (*objects, *([armature] if armature else [])):
-        if not _is_evaluated(each, depsgraph.view_layer):
-            raise ChonaError(
-                f"'{each.name}' is disabled in viewports, or not in the view layer, and does not move. Enable it there "
-                "(the eye may be shut)"
-            )
-    posed, placed = _subject(armature, bones, objects).read(depsgraph)
-    number = np.array([scene.frame_current], dtype=np.int64)
-    return Samples(number, posed[None], placed[None], ((sample_camera(scene.camera, depsgraph, image),),))
+    for each in (item for subject in subjects for item in subject.items):
+        _check_evaluated(each, depsgraph.view_layer)
+    readers = [_Reader.of(subject) for subject in subjects]
+    for reader in readers:
+        reader.read(depsgraph)
+    cameras = ((sample_camera(scene.camera, depsgraph, image),),)
+    return [reader.samples(np.array([scene.frame_current], dtype=np.int64), cameras) for reader in readers]
+
+
+def _check_evaluated(each: Object, view_layer: ViewLayer) -> None:
+    if not _is_evaluated(each, view_layer):
+        raise ChonaError(
+            f"'{each.name}' is disabled in viewports, or not in the view layer, and does not move. Enable it there "
+            "(the eye may be shut)"
+        )
 
 
 def _is_evaluated(each: Object, view_layer: ViewLayer) -> bool:
@@ -181,31 +229,41 @@ def _is_evaluated(each: Object, view_layer: ViewLayer) -> bool:
 
 
 @dataclass(frozen=True)
-class _Subject:
-    """What is read in each frame; ``bone_from_rest`` [B, 4, 4] undoes the rest matrices of ``bones``."""
+class _Reader:
+    """Reads a subject frame by frame; ``bone_from_rest`` [B, 4, 4] undoes the rest matrices of its bones."""
 
-    armature: Object | None
-    bones: Sequence[str]
+    subject: Subject
     bone_from_rest: np.ndarray
-    objects: Sequence[Object]
+    posed: list[np.ndarray]
+    placed: list[np.ndarray]
+    rigs: list[np.ndarray]
 
-    def read(self, depsgraph: Depsgraph) -> tuple[np.ndarray, np.ndarray]:
-        """``world_from_armature`` [B, 4, 4] and ``world_from_object`` [N, 4, 4], copied out of Blender."""
-        posed = np.empty((0, 4, 4))
-        if self.armature is not None:
-            evaluated = self.armature.evaluated_get(depsgraph)
+    @staticmethod
+    def of(subject: Subject) -> _Reader:
+        rest = np.empty((0, 4, 4))
+        if subject.armature is not None and len(subject.bones):
+            rest = np.array(
+                [subject.armature.data.bones[name].matrix_local for name in subject.bones], dtype=np.float64
+            )
+        return _Reader(subject, np.linalg.inv(rest), [], [], [])
+
+    def read(self, depsgraph: Depsgraph) -> None:
+        """Copies matrices out of Blender."""
+        posed, world = np.empty((0, 4, 4)), np.eye(4)
+        if self.subject.armature is not None:
+            evaluated = self.subject.armature.evaluated_get(depsgraph)
             pose = evaluated.pose.bones
             world = np.array(evaluated.matrix_world, dtype=np.float64)
-            local = np.array([pose[name].matrix for name in self.bones], dtype=np.float64).reshape(-1, 4, 4)
+            local = np.array([pose[name].matrix for name in self.subject.bones], dtype=np.float64).reshape(-1, 4, 4)
             posed = world @ local @ self.bone_from_rest
-        placed = [np.array(each.evaluated_get(depsgraph).matrix_world, dtype=np.float64) for each in self.objects]
-        return posed, np.array(placed).reshape(-1, 4, 4)
+        self.posed.append(posed)
+        self.rigs.append(world)
+        objects = [np.array(o.evaluated_get(depsgraph).matrix_world, dtype=np.float64) for o in self.subject.objects]
+        self.placed.append(np.array(objects).reshape(-1, 4, 4))
 
-
-def _subject(armature: Object | None, bones: Sequence[str], objects: Sequence[Object]) -> _Subject:
-    rest = np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64) if armature else None
-    bone_from_rest = np.linalg.inv(rest) if rest is not None and len(rest) else np.empty((0, 4, 4))
-    return _Subject(armature, bones, bone_from_rest, objects)
+    def samples(self, frames: np.ndarray, cameras: tuple[tuple[CameraSample, ...], ...]) -> Samples:
+        """All that was read."""
+        return Samples(frames, np.array(self.posed), np.array(self.placed), cameras, np.array(self.rigs))
 
 
 def stored_overrides(armature: Object) -> Mapping[str, str]:

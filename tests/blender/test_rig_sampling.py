@@ -70,13 +70,22 @@ def test_a_little_stretch_is_dropped_and_told(found: dict) -> None:
         ("stretched", "Bone 'left_ankle' is stretched to 1–1.4 times the figure's scale in frame 3"),
         ("mirrored", "Bone 'pelvis' is mirrored (a negative scale) in frame 1"),
         ("flat", "Bone 'head' has zero scale along an axis in frame 1: give it a scale above zero"),
-        ("simulated", "'cube' is moved by the rigid body simulation, which is not sampled. Bake it to keyframes first"),
         ("edited", "Armature 'Robin' is being edited. Leave edit mode first"),
         ("resting", "Armature 'Robin' shows its rest position. Set it to Pose Position"),
     ],
 )
 def test_what_has_no_rigid_pose_is_refused_by_name_and_frame(found: dict, case: str, words: str) -> None:
     assert words in found[case].get("error", "was sampled")
+
+
+def test_a_rigid_body_simulation_moves_objects_and_what_hangs_on_them(found: dict) -> None:
+    """The animator's scene is played from the first frame: a free fall, which an empty under the cube shares."""
+    case = found["falling"]
+    heights = np.array(case["objects"])[:, 0, 2, 3]
+    np.testing.assert_allclose(heights, case["played"], atol=1e-6)
+    seconds = (np.array(case["frames"]) - 1) / 24.0
+    np.testing.assert_allclose(heights, 5.0 - 0.5 * 9.81 * seconds**2, atol=0.06)
+    assert case["frame"] == 4 and case["unkeyed"] == pytest.approx(0.123)
 
 
 def test_constraints_drivers_and_parents_count(found: dict) -> None:

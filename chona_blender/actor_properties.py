@@ -1,0 +1,229 @@
+"""One actor as the user sets it: whose model, which person and objects, and what moves them.
+
+Blender reads the annotations of property classes, so they are not postponed here.
+"""
+
+from collections.abc import Iterator
+
+import bpy
+
+from . import model_cache
+from .errors import ChonaError
+from .rig.mapping import FOLLOW, map_rig
+
+RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"}
+ROOT_PATHS = (
+    (
+        "RIG",
+        "As the Rig",
+        "Hips stand where the rig's do; feet float or sink where the figure's legs are of another length",
+    ),
+    (
+        "LEGS",
+        "Scaled by Legs",
+        "Hips rise and travel as much more or less as the figure's legs are longer or shorter, so that feet stay on "
+        "the ground and do not slide",
+    ),
+)
+FOUND, FOLLOWS, MISSING = "FOUND", "FOLLOWS", "MISSING"
+STATES = (
+    (FOUND, "Found", "Moved by a bone of the armature"),
+    (FOLLOWS, "Follows", "Keeps to its parent: the armature has no bone for it, and it can do without"),
+    (MISSING, "Missing", "The armature has no bone for it, and it needs one"),
+)
+
+
+def _model_changed(self: "CHONA_PG_actor", context: bpy.types.Context) -> None:
+    """Read the new model's header once, and fill in what it has only one of."""
+    header = model_cache.refresh(self.model_path)
+    if header is not None and self.person not in header.persons:
+        self.person = next(iter(header.persons), "")
+    _rig_changed(self, context)
+
+
+def _rig_changed(self: "CHONA_PG_actor", _context: bpy.types.Context) -> None:
+    self.refresh_bones()
+
+
+def _target_changed(self: "CHONA_PG_bone", _context: bpy.types.Context) -> None:
+    self.actor.refresh_bones()
+
+
+def _search_persons(self: "CHONA_PG_actor", _context: bpy.types.Context, text: str) -> list[str]:
+    return [name for name in model_cache.person_names(self.model_path) if text.lower() in name.lower()]
+
+
+def _search_objects(self: "CHONA_PG_object", _context: bpy.types.Context, text: str) -> list[str]:
+    return [name for name in model_cache.object_names(self.actor.model_path) if text.lower() in name.lower()]
+
+
+def _search_bones(self: "CHONA_PG_bone", _context: bpy.types.Context, text: str) -> list[str]:
+    armature = self.actor.armature
+    names = [FOLLOW, *(armature.data.bones.keys() if armature is not None else ())]
+    return [name for name in names if text.lower() in name.lower()]
+
+
+def _is_armature(_self: bpy.types.PropertyGroup, candidate: bpy.types.Object) -> bool:
+    return candidate.type == "ARMATURE"
+
+
+class CHONA_PG_object(bpy.types.PropertyGroup):
+    """One object of an actor and what moves it."""
+
+    name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Object",
+        description="Name of the object in the model",
+        search=_search_objects,
+    )
+    empty: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Moved By",
+        description="The empty, or any object, whose position and rotation the object follows: keys, constraints, "
+        "parents and rigid body physics count",
+        type=bpy.types.Object,
+    )
+    use: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Render",
+        description="Render this object; switched off it is not there and costs nothing",
+        default=True,
+    )
+
+    @property
+    def actor(self) -> "CHONA_PG_actor":
+        """Whose object it is."""
+        return self.id_data.path_resolve(self.path_from_id().rpartition(".objects[")[0])
+
+
+class CHONA_PG_bone(bpy.types.PropertyGroup):
+    """One bone of the model and the armature's bone for it."""
+
+    name: bpy.props.StringProperty(name="Bone", description="Bone of the model")  # type: ignore[valid-type]
+    target: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Moved By",
+        description="Bone of the armature that moves this one; empty takes the one that was recognised, (parent) keeps "
+        "it to its parent",
+        search=_search_bones,
+        update=_target_changed,
+    )
+    found: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Recognised",
+        description="Bones of the armature that move this one, recognised by name",
+        options={"SKIP_SAVE"},
+    )
+    state: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="State",
+        description="Whether anything moves this bone",
+        items=STATES,
+        default=MISSING,
+        options={"SKIP_SAVE"},
+    )
+
+    @property
+    def actor(self) -> "CHONA_PG_actor":
+        """Whose bone it is."""
+        return self.id_data.path_resolve(self.path_from_id().rpartition(".bones[")[0])
+
+
+class CHONA_PG_actor(bpy.types.PropertyGroup):
+    """A person with objects, or objects alone."""
+
+    name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Actor",
+        description="What this actor is called in the shot; empty takes the armature's name",
+    )
+    use: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Render",
+        description="Render this actor; switched off it is not there and costs nothing",
+        default=True,
+    )
+    model_path: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Model",
+        description="Model file (.safetensors) that a training wrote",
+        subtype="FILE_PATH",
+        options=RELATIVE_PATH,
+        update=_model_changed,
+    )
+    person: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Person",
+        description="Which of the model's people is rendered; empty renders the objects alone",
+        search=_search_persons,
+        update=_rig_changed,
+    )
+    armature: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Armature",
+        description="The armature that poses the person: one that Create Rig made, or any other",
+        type=bpy.types.Object,
+        poll=_is_armature,
+        update=_rig_changed,
+    )
+    root_path: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Path",
+        description="How the figure's hips follow a rig whose legs are of another length",
+        items=ROOT_PATHS,
+        default="RIG",
+    )
+    objects: bpy.props.CollectionProperty(  # type: ignore[valid-type]
+        type=CHONA_PG_object, name="Objects", description="Objects of the actor and what moves each"
+    )
+    active_object: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Object", description="The selected row of the list of objects", options={"HIDDEN"}
+    )
+    bones: bpy.props.CollectionProperty(  # type: ignore[valid-type]
+        type=CHONA_PG_bone, name="Bones", description="The model's bones and the armature's for each"
+    )
+    active_bone: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Bone", description="The selected row of the table of bones", options={"HIDDEN"}
+    )
+    family: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Recognised As",
+        description="Family of rigs that the armature was recognised as, and how many bones were found",
+        options={"SKIP_SAVE"},
+    )
+
+    @property
+    def label(self) -> str:
+        """For lists."""
+        return self.name or self.person or ", ".join(item.name for item in self.objects) or "Actor"
+
+    def used_objects(self) -> Iterator[CHONA_PG_object]:
+        """The objects that are to be rendered."""
+        return (item for item in self.objects if item.use)
+
+    def set_objects(self, pairs: dict[str, bpy.types.Object | None]) -> None:
+        """Replace the list of objects."""
+        self.objects.clear()
+        for name, empty in pairs.items():
+            item = self.objects.add()
+            item.name = name
+            item.empty = empty
+
+    def chosen_bones(self) -> dict[str, str]:
+        """What the user chose in the table: model bone → armature bone or ``FOLLOW``."""
+        return {item.name: item.target for item in self.bones if item.target}
+
+    def refresh_bones(self) -> None:
+        """Bring the table up to date with model and armature; what the user chose stays."""
+        header = model_cache.cached(self.model_path)
+        if header is None or self.armature is None or not self.person:
+            self.family = ""
+            self.bones.clear()
+            return
+        if [item.name for item in self.bones] != list(header.names):
+            chosen = self.chosen_bones()
+            self.bones.clear()
+            for name in header.names:
+                self.bones.add().name = name
+            for item in self.bones:
+                if item.name in chosen:
+                    item["target"] = chosen[item.name]
+        present = self.armature.data.bones
+        chosen = {k: v for k, v in self.chosen_bones().items() if v == FOLLOW or v in present}
+        try:
+            mapping = map_rig(self.armature, header.names, chosen)
+        except ChonaError:  # told by Check and Bake
+            self.family = ""
+            return
+        self.family = mapping.summary
+        for item in self.bones:
+            item.found = ", ".join(mapping.bones[item.name])
+            wrong = item.name in mapping.problems or (item.target and item.target not in chosen)
+            item.state = MISSING if wrong else FOUND if mapping.bones[item.name] else FOLLOWS
