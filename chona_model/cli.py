@@ -323,15 +323,17 @@ def _estimate(arguments: argparse.Namespace, progress: Progress) -> int:
     device = resolve_device(arguments.device)
     from chona_model.bake import check_actors, choose_frames
     from chona_model.model_store import load_actor
+    from chona_model.sight import shown_identities
     from chona_model.trade.estimate import estimate, reference_shot
 
     progress.check()
     progress.start("estimate", arguments.seconds, unit="s")
-    actor = load_actor(arguments.model, device)
     names = header.skeleton.names
     shot = reference_shot(header.trade or {}, names) if arguments.shot is None else read_shot(arguments.shot)
-    check_actors(shot, actor)
+    check_actors(shot, header)
     frames = choose_frames(shot, arguments.frames)
+    persons, objects = shown_identities(shot)
+    actor = load_actor(arguments.model, device, persons, objects)
     found = estimate(actor, shot, frames, header.trade, arguments.preset, arguments.seconds)
     lines = [
         f"{name}: {'' if each.psnr is None else f'{each.psnr:.1f} dB, '}{each.seconds_per_frame:.2f} s a frame here; "

@@ -70,12 +70,15 @@ def render_frame(
 
 def _layer(picture: Picture, near: float, far: float, passes: Passes) -> Layer:
     """Scene-linear, premultiplied; empty where the surface lies outside the clip range, as Blender's camera cuts."""
-    alpha = picture.alpha[..., None]
-    straight = np.divide(picture.rgb, alpha, out=np.zeros_like(picture.rgb), where=alpha > 0)
     kept = (picture.depth >= near) & (picture.depth <= far)
-    combined = np.concatenate([linear_from_srgb(np.clip(straight, 0.0, 1.0)) * alpha, alpha], axis=-1)
+    # Powers are dear: only pixels that show anything are made linear.
+    shown = np.flatnonzero(kept & (picture.alpha > 0))
+    alpha = picture.alpha.reshape(-1, 1)[shown]
+    straight = np.clip(picture.rgb.reshape(-1, 3)[shown] / alpha, 0.0, 1.0)
+    combined = np.zeros((*picture.alpha.shape, 4), dtype=np.float32)
+    combined.reshape(-1, 4)[shown] = np.concatenate([linear_from_srgb(straight) * alpha, alpha], axis=-1)
     return (
-        np.where(kept[..., None], combined, np.float32(0.0)), np.where(kept, picture.depth, np.float32(EMPTY_DEPTH)),
+        combined, np.where(kept, picture.depth, np.float32(EMPTY_DEPTH)),
         picture.human * kept if passes.mattes else None, picture.object * kept if passes.mattes else None,
         picture.confidence if passes.confidence else None,
     )  # fmt: skip

@@ -190,6 +190,24 @@ def test_a_pass_that_is_not_asked_for_is_not_there(tmp_path: Path) -> None:
     assert run(tmp_path, shot).written == 1
 
 
+def test_colours_are_linear_premultiplied_and_cut_by_the_clip_range(tmp_path: Path) -> None:
+    """The whole picture by the formula; the far half of the figure is cut away."""
+    model, dataset = grid_file()
+    pose, camera = dataset.views[0].pose, dataset.views[0].camera
+    actor = load_actor(model, persons=["Sub01"], objects=["box01"])
+    picture = actor.render(pose, camera, RENDER_PRESETS["draft"])
+    far = float(np.median(picture.depth[picture.alpha > 0.5]))
+    shot = read_shot(write_poses(tmp_path / "walk.shot.npz", camera, [pose]))
+    layers = render_frame(actor, replace(shot, clip=np.array([[0.01, far]])), 0, RENDER_PRESETS["draft"])
+    kept = picture.depth <= far
+    alpha = np.maximum(picture.alpha, 1e-9)[..., None].astype(np.float64)
+    straight = np.clip(picture.rgb / alpha, 0.0, 1.0)
+    linear = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4)
+    expected = np.concatenate([linear * alpha, picture.alpha[..., None]], axis=-1) * kept[..., None]
+    np.testing.assert_allclose(layers.combined, expected, atol=1e-6)
+    assert 50 < (kept & (picture.alpha > 0.1)).sum() < (picture.alpha > 0.1).sum() - 50
+
+
 def _fields(passes: Passes) -> set[str]:
     own = {"combined": ["combined"], "depth": ["depth"], "mattes": ["human", "object"], "confidence": ["confidence"]}
     return {field for name in passes.names for field in own[name]}
