@@ -172,7 +172,7 @@ RENDER_PRESETS = {
     ),
     "final": RenderSettings("final", step=0.008, newton_steps=4, stop=0.003, supersampling=2),
     "exact": RenderSettings(
-        "exact", step=0.004, newton_steps=20, stop=0.0, supersampling=3, occupancy=False,
+        "exact", step=0.004, newton_steps=20, stop=0.0, tolerance=2e-5, supersampling=3, occupancy=False,
         exact=ExactSettings(bounded=True),
     ),
 }  # fmt: skip

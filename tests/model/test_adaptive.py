@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_an_empty_view_is_within_any_bound(scene) -> None:
 def test_every_rung_is_at_least_as_fine_as_the_one_below(name: str) -> None:
     rungs = ladder(replace(RENDER_PRESETS[name], occupancy_cell=2, occupancy_threshold=3.0))
     assert len(rungs) == RUNGS and rungs[0].resolution == 1.0
-    for lower, upper in zip(rungs, rungs[1:], strict=False):
+    for lower, upper in pairwise(rungs):
         assert FINEST_STEP <= upper.step <= lower.step and upper.stop <= lower.stop
         assert upper.supersampling >= lower.supersampling and upper.newton_steps > lower.newton_steps
         assert upper.exact.samples >= lower.exact.samples and upper.exact.inverse.starts >= lower.exact.inverse.starts
