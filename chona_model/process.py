@@ -5,8 +5,12 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import time
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+BEGAN = time.perf_counter()
+"""About when the process was started, where this is imported before everything else: commands do."""
+
 KEEP_BUFFER, KEEP_TOTAL = 1 << 25, 1 << 30
 """Freed buffers up to this size stay with the process, up to this much in all, bytes; glibc refuses a larger first."""
 

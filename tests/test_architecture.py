@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = (
     ("__main__",),
     ("cli",),
+    ("commands",),
+    ("command_parts",),
     ("serve",),
     ("trade",),
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
@@ -33,6 +35,7 @@ FLOORS = (
     ("field", "figure"),
     ("skeleton", "camera"),
     ("kernels",),
+    ("command_line",),
     ("settings", "geometry", "passes", "progress", "process", "arguments"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.

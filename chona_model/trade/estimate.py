@@ -6,6 +6,7 @@ this computer is; how many rays the shot's frames need, which takes milliseconds
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -17,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from chona_model.actor import Actor
-from chona_model.formats.exr import FrameHeader, write_frame
+from chona_model.formats.exr import FrameHeader, FrameLayers, write_frame
 from chona_model.formats.shot import Shot, ShotActor
 from chona_model.frame import render_frame
-from chona_model.presets import find_preset
-from chona_model.settings import PRESETS, RenderSettings
+from chona_model.presets import find_preset, user_presets
+from chona_model.settings import PRESETS, RenderSettings, SettingsError
 from chona_model.trade.cost import Cost, fit_cost
 
 SECONDS = 2.0
@@ -58,7 +59,7 @@ class ShotEstimate:
         presets: by name; frames: how many the bake has.
         factor: how many times as long this computer takes as the one the model was measured on; None where nobody
             measured.
-        start_seconds: until a worker renders its first frame; write_seconds: of writing a frame.
+        start_seconds: until a worker renders frames at its usual pace; write_seconds: of writing a frame.
     """
 
     presets: dict[str, Estimate]
@@ -74,20 +75,21 @@ class ShotEstimate:
 
 def estimate(
     actor: Actor, shot: Shot, indices: Sequence[int], trade: Mapping[str, Any] | None, preset: str,
-    seconds: float = SECONDS,
+    seconds: float = SECONDS, started: float | None = None,
 ) -> ShotEstimate:  # fmt: skip
-    """Estimates every preset's time for frames ``indices`` of a shot.
+    """Estimates every preset's time for frames ``indices`` of a shot, the program's presets and the user's own.
 
     Args:
         trade: the model's (``ModelHeader.trade``), or None.
         preset: the calibration renders with; the estimate of it is the best.
+        started: seconds that the process has taken until now, waiting included; None takes its processor's.
 
     Raises:
         SettingsError: an unknown preset.  KeyError: the shot shows what the model does not know.
     """
-    started = time.process_time()  # a start is all the processor has done so far: imports and the model
-    names = list(dict.fromkeys([*PRESETS, preset]))
-    settings = {name: find_preset(name) for name in names}
+    started = time.process_time() if started is None else started  # imports and the model
+    settings = _every_preset() | {preset: find_preset(preset)}
+    names = list(settings)
     known = {} if trade is None else trade["presets"]
     chosen = [indices[place] for place in np.linspace(0, len(indices) - 1, min(COUNTED, len(indices))).astype(int)]
     costs = {
@@ -97,7 +99,8 @@ def estimate(
         for name in names
     }
     counted = {name: [_rays(actor, shot, index, settings[name]) for index in chosen] for name in names}
-    factor, write = _calibrate(actor, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
+    pace = _calibrate(actor, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
+    factor, write, started = pace.factor, pace.write, started + pace.first
     presets = {}
     for name in names:
         frame = factor * fmean(costs[name].seconds(rays) for rays in counted[name]) + write
@@ -111,30 +114,56 @@ def _rays(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> int
     return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for member in shot.actors)
 
 
+def _every_preset() -> dict[str, RenderSettings]:
+    """Settings by name. A file of the user's that is no preset any more is not in the way of the others."""
+    found = {name: find_preset(name) for name in PRESETS}
+    for name in user_presets():
+        with contextlib.suppress(SettingsError):
+            found[name] = find_preset(name)
+    return found
+
+
+@dataclass(frozen=True)
+class _Pace:
+    """How many times as long as its cost says a frame takes here.
+
+    Attributes:
+        write: seconds of writing a frame; first: seconds more that the first frame takes, which loads kernels.
+    """
+
+    factor: float
+    write: float
+    first: float
+
+
 def _calibrate(
     actor: Actor, shot: Shot, chosen: Sequence[int], settings: RenderSettings, cost: Cost, rays: Sequence[int],
     seconds: float,
-) -> tuple[float, float]:  # fmt: skip
-    """How many times as long as ``cost`` says frames take here, and how long one takes to be written."""
-    layers = render_frame(actor, shot, chosen[0], settings)  # loads kernels
-    actor.forget_poses()
-    ratios: list[float] = []
-    began = time.perf_counter()
-    for turn in range(len(chosen) * 1000):
-        place = turn % len(chosen)
+) -> _Pace:  # fmt: skip
+    def render(place: int) -> tuple[FrameLayers, float]:
+        actor.forget_poses()
         start = time.perf_counter()
         layers = render_frame(actor, shot, chosen[place], settings)
-        actor.forget_poses()
-        ratios.append((time.perf_counter() - start) / max(cost.seconds(rays[place]), 1e-6))
-        if time.perf_counter() - began > seconds:
-            break
+        return layers, time.perf_counter() - start
+
+    # Any beginning of this order is spread over the shot (bits reversed), as few frames may fit the time.
+    order = sorted(range(len(chosen)), key=lambda place: f"{place:08b}"[::-1])
+    layers, first = render(order[0])  # loads kernels
+    taken = expected = 0.0
+    began, turn = time.perf_counter(), 0
+    while turn == 0 or time.perf_counter() - began < seconds:
+        place = order[turn % len(order)]
+        taken += render(place)[1]
+        expected += max(cost.seconds(rays[place]), 1e-6)
+        turn += 1
+    factor = taken / expected  # of sums, as a bake's time is one: a median would leave out what disturbs a few frames
     with tempfile.TemporaryDirectory(prefix="chona-") as folder:
         times = []
         for number in range(3):
             start = time.perf_counter()
             write_frame(Path(folder) / f"{number}.exr", layers, FrameHeader("", "", "", "{}", 0.0, 0))
             times.append(time.perf_counter() - start)
-    return median(ratios), median(times)
+    return _Pace(factor, median(times), max(first - factor * cost.seconds(rays[order[0]]), 0.0))
 
 
 def _time_small(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> Cost:

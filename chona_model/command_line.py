@@ -1,0 +1,137 @@
+"""The command line of ``chona``: its commands and their options."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from chona_model.arguments import Parser, SourceAction, frame_list, name_list, number, whole
+from chona_model.passes import PASSES
+from chona_model.progress import MODES, Progress
+from chona_model.settings import PRESETS
+
+METHODS = ("chona", "no-cil")
+LATER_METHODS = ("object-translation", "tava", "arah", "arah-object")
+"""Named on the command line; not part of this version."""
+TRAIN_PRESETS = ("fast", "paper")
+DEFAULT_PRESET = "final"
+MAX_SEED = 2**63 - 1
+_PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
+
+Command = Callable[[argparse.Namespace, Progress], int]
+
+
+def make_parser(commands_of: Mapping[str, Command]) -> Parser:
+    """The whole command line.
+
+    Args:
+        commands_of: what runs, by the command's name.
+    """
+    parser = Parser(prog="chona", description="Train people and objects from captures, and bake posed shots to EXR.")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, dest="command")
+
+    def add(name: str, words: str, long: bool = False) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=words, description=words[0].upper() + words[1:] + ".")
+        command.set_defaults(run=commands_of[name])
+        command.add_argument("--debug", action="store_true", help="show where an error happened")
+        if long:
+            command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
+            command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+        return command
+
+    train = add("train", "learn a model from captures", long=True)
+    _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
+    train.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for model, log and checkpoint")
+    train.add_argument("--method", default="chona", metavar="|".join(METHODS), help="default: chona")
+    train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast")
+    length = train.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
+    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="how many steps to train")
+    train.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N")
+    train.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
+
+    evaluate = add("evaluate", "measure a model on views it has not seen", long=True)
+    evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")
+    _add_sources(evaluate, "repeat it to measure on several")
+    evaluate.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
+    evaluate.add_argument("--save-images", type=Path, metavar="DIR", help="folder for predictions and targets")
+    evaluate.add_argument("--json", type=Path, required=True, metavar="FILE", help="the measurements")
+
+    bake = add("bake", "render a shot to EXR frames", long=True)
+    bake.add_argument("--model", type=Path, required=True, metavar="FILE")
+    bake.add_argument("--shot", type=Path, required=True, metavar="FILE")
+    bake.add_argument("--out", type=Path, required=True, metavar="DIR")
+    bake.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
+    bake.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=_PRESET_HELP)
+    bake.add_argument(
+        "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
+        help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
+    )  # fmt: skip
+    bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
+    bake.add_argument(
+        "--passes", type=name_list, default=list(PASSES), metavar="A,B,…",
+        help=f"of {', '.join(PASSES)} (default: all; combined always)",
+    )  # fmt: skip
+
+    trade = add("trade", "measure what speed costs with a model, and find the best settings", long=True)
+    trade.add_argument("--model", type=Path, required=True, metavar="FILE")
+    _add_sources(trade, "views that training did not see; repeat it to measure on several")
+    trade.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for trade.json and trade.png")
+    trade.add_argument("--full", action="store_true", help="every value of every setting (default: some, 3 minutes)")
+    trade.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to measure")
+    trade.add_argument(
+        "--seconds-per-frame", type=number(0, above=True), metavar="S", help="find the most accurate within this time"
+    )
+    trade.add_argument("--psnr", type=number(0, above=True), metavar="DB", help="find the fastest above this quality")
+    trade.add_argument("--save-preset", metavar="NAME", help="save what was found as a preset of yours")
+    trade.add_argument("--no-save", action="store_true", help="leave the model file as it is")
+
+    estimate = add("estimate", "say what baking a shot will take on this computer", long=True)
+    estimate.add_argument("--model", type=Path, required=True, metavar="FILE")
+    estimate.add_argument("--shot", type=Path, metavar="FILE", help="default: the view the model was measured on")
+    estimate.add_argument("--frames", type=frame_list, metavar="1-50,60", help="default: all of the shot")
+    estimate.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=f"to calibrate with; {_PRESET_HELP}")
+    estimate.add_argument("--seconds", type=number(0, 600, above=True), default=2.0, metavar="S", help="of calibration")
+
+    served = add("serve", "stay up and render poses that come in on standard input (for the add-on's previews)")
+    served.add_argument("--model", type=Path, required=True, metavar="FILE")
+    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+
+    info = add("info", "show what a model file holds")
+    info.add_argument("file", type=Path, metavar="FILE")
+    info.add_argument("--json", action="store_true", help="as JSON")
+
+    check = add("check-data", "show whether a capture is understood")
+    check.add_argument("data", type=Path, metavar="DIR")
+    check.add_argument("--format", default="auto", metavar="F")
+    check.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures of what was understood")
+    _add_body_model(check)
+    check.add_argument("--json", type=Path, metavar="FILE", help="the measurements")
+
+    doctor = add("doctor", "check what this computer has for the work")
+    doctor.add_argument("--json", action="store_true", help="as JSON")
+
+    demo = add("demo", "make a capture of a character, train it, and bake a shot of it")
+    demo.add_argument("--out", type=Path, required=True, metavar="DIR")
+    demo.add_argument("--blender-python", type=Path, metavar="PY", help="a Python with the module bpy")
+    demo.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
+    demo.add_argument("--quick", action="store_true", help="small pictures and a short training")
+    return parser
+
+
+def _add_sources(command: argparse.ArgumentParser, several: str) -> None:
+    command.add_argument("--data", action=SourceAction, type=Path, metavar="DIR", help=f"a capture; {several}")
+    command.add_argument("--format", action=SourceAction, metavar="F", help="its layout (default: auto)")
+    command.add_argument("--sequences", action=SourceAction, type=name_list, metavar="A,B,…", help="default: all")
+    command.add_argument("--split", action=SourceAction, metavar="FILE:KEY", help="the sequences a JSON file lists")
+    command.add_argument("--image-scale", type=number(0, 1, above=True), default=1.0, metavar="S")
+    command.set_defaults(sources=None)
+    _add_body_model(command)
+
+
+def _add_body_model(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--body-model", type=Path, metavar="DIR",
+        help="SMPL-H files (default: $CHONA_BODY_MODELS, else a folder smplh beside the data)",
+    )  # fmt: skip
