@@ -3,6 +3,7 @@
 Blender reads the annotations of property classes, so they are not postponed here.
 """
 
+import json
 from collections.abc import Iterator
 
 import bpy
@@ -33,6 +34,9 @@ STATES = (
 )
 
 
+_filling: list[str] = []
+
+
 def _model_changed(self: "CHONA_PG_actor", context: bpy.types.Context) -> None:
     """Read the new model's header once, and fill in what it has only one of."""
     header = model_cache.refresh(self.model_path)
@@ -61,6 +65,23 @@ def _search_bones(self: "CHONA_PG_bone", _context: bpy.types.Context, text: str)
     armature = self.actor.armature
     names = [FOLLOW, *(armature.data.bones.keys() if armature is not None else ())]
     return [name for name in names if text.lower() in name.lower()]
+
+
+def _get_mapping(self: "CHONA_PG_actor") -> str:
+    whole = {item.name: item.target or item.found.partition(", ")[0] or FOLLOW for item in self.bones}
+    return json.dumps({name: bone for name, bone in whole.items() if bone})
+
+
+def _set_mapping(self: "CHONA_PG_actor", text: str) -> None:
+    chosen = json.loads(text)
+    self.refresh_bones()
+    _filling.append(self.name)
+    try:
+        for item in self.bones:
+            item.target = str(chosen.get(item.name, ""))
+    finally:
+        _filling.clear()
+    self.refresh_bones()
 
 
 def _is_armature(_self: bpy.types.PropertyGroup, candidate: bpy.types.Object) -> bool:
@@ -173,6 +194,12 @@ class CHONA_PG_actor(bpy.types.PropertyGroup):
     active_bone: bpy.props.IntProperty(  # type: ignore[valid-type]
         name="Bone", description="The selected row of the table of bones", options={"HIDDEN"}
     )
+    mapping: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Mapping",
+        description="The whole table of bones as JSON, model bone to armature bone: what a preset keeps",
+        get=_get_mapping,
+        set=_set_mapping,
+    )
     family: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Recognised As",
         description="Family of rigs that the armature was recognised as, and how many bones were found",
@@ -202,6 +229,14 @@ class CHONA_PG_actor(bpy.types.PropertyGroup):
 
     def refresh_bones(self) -> None:
         """Bring the table up to date with model and armature; what the user chose stays."""
+        if not _filling:
+            _filling.append(self.name)  # filling in a target is no choice of the user's
+            try:
+                self._fill_bones()
+            finally:
+                _filling.clear()
+
+    def _fill_bones(self) -> None:
         header = model_cache.cached(self.model_path)
         if header is None or self.armature is None or not self.person:
             self.family = ""
@@ -213,8 +248,7 @@ class CHONA_PG_actor(bpy.types.PropertyGroup):
             for name in header.names:
                 self.bones.add().name = name
             for item in self.bones:
-                if item.name in chosen:
-                    item["target"] = chosen[item.name]
+                item.target = chosen.get(item.name, "")
         present = self.armature.data.bones
         chosen = {k: v for k, v in self.chosen_bones().items() if v == FOLLOW or v in present}
         try:
@@ -225,5 +259,5 @@ class CHONA_PG_actor(bpy.types.PropertyGroup):
         self.family = mapping.summary
         for item in self.bones:
             item.found = ", ".join(mapping.bones[item.name])
-            wrong = item.name in mapping.problems or (item.target and item.target not in chosen)
+            wrong = item.name in mapping.problems or (item.target and item.name not in chosen)
             item.state = MISSING if wrong else FOUND if mapping.bones[item.name] else FOLLOWS

@@ -29,6 +29,12 @@ TRAIN_PRESETS = (
 )
 
 
+def _first_model_chosen(self: "CHONA_PG_settings", _context: bpy.types.Context) -> None:
+    if self.first_model:
+        self.ensure_actor().model_path = self.first_model
+        self.first_model = ""
+
+
 def _is_armature(_self: bpy.types.PropertyGroup, candidate: bpy.types.Object) -> bool:
     return candidate.type == "ARMATURE"
 
@@ -41,6 +47,13 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
 
     actors: bpy.props.CollectionProperty(  # type: ignore[valid-type]
         type=CHONA_PG_actor, name="Actors", description="Everybody and everything that is rendered together"
+    )
+    first_model: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Model",
+        description="Model file (.safetensors) that a training wrote; choosing one makes the first actor",
+        subtype="FILE_PATH",
+        options=RELATIVE_PATH | {"SKIP_SAVE"},
+        update=_first_model_chosen,
     )
     active_actor: bpy.props.IntProperty(  # type: ignore[valid-type]
         name="Actor",

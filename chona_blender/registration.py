@@ -8,7 +8,18 @@ from dataclasses import dataclass
 
 import bpy
 
-from . import actor_properties, commands, live, model_cache, panels, preferences, properties, worker
+from . import (
+    actor_properties,
+    check_store,
+    commands,
+    live,
+    model_cache,
+    panels,
+    preferences,
+    properties,
+    strip_view,
+    worker,
+)
 from .jobs import board, remember_error
 from .operators import bake, capture, composite, diagnose, preview, rig, train
 
@@ -18,6 +29,7 @@ CLASSES: tuple[type, ...] = (
     actor_properties.CHONA_PG_actor,
     properties.CHONA_PG_settings,
     preferences.CHONA_AP_preferences,
+    *check_store.CLASSES,
     *rig.CLASSES,
     *bake.CLASSES,
     *preview.CLASSES,
@@ -45,6 +57,8 @@ STEPS: tuple[Step, ...] = (
     *(_class_step(cls) for cls in CLASSES),
     Step(properties.register, properties.unregister),
     Step(model_cache.register, model_cache.unregister),
+    Step(check_store.register, check_store.unregister),
+    Step(strip_view.register, strip_view.unregister),
     Step(live.register, live.unregister),
     Step(commands.register, commands.unregister),
     Step(lambda: atexit.register(_at_exit), lambda: atexit.unregister(_at_exit)),

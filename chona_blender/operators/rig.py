@@ -1,84 +1,143 @@
-"""Operators for the rig and the list of objects."""
+"""Operators that map an armature's bones to a model's, and its presets."""
 
 from __future__ import annotations
 
 import bpy
+from bl_operators.presets import AddPresetBase
 
-from .. import actions, jobs, model_cache
+from .. import jobs, model_cache
 from ..errors import ChonaError
+from ..rig.mapping import map_rig
+from . import actors, check
+
+PRESET_FOLDER = "chona/rig"
+"""Under presets/ of Blender's user scripts."""
 
 
-class CHONA_OT_create_rig(bpy.types.Operator):
-    """Create an armature in T-pose for the person and an empty for each object of the model"""
+def _has_rig(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether there is a table of bones to work on; else a poll message says what to do."""
+    actor = context.scene.chona.actor
+    reasons = (
+        (actor is None or not actor.model_path, "Choose a model file first"),
+        (actor is not None and not actor.person, "Choose a person first: objects have no bones"),
+        (actor is not None and actor.armature is None, "Choose an armature first"),
+    )
+    words = next((words for off, words in reasons if off), "")
+    if words:
+        cls.poll_message_set(words)
+    return not words
 
-    bl_idname = "chona.create_rig"
-    bl_label = "Create Rig"
+
+class CHONA_OT_map_rig(bpy.types.Operator):
+    """Recognise the armature's bones by their names: SMPL, Rigify, Mixamo, MPFB, Unreal, VRM, Unity, left and right
+    names"""
+
+    bl_idname = "chona.map_rig"
+    bl_label = "Map Rig"
     bl_options = {"REGISTER", "UNDO"}
+
+    keep: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Keep Choices",
+        description="Keep the bones that were chosen in the table, and recognise the others",
+        default=False,
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Go to Object Mode first")
-            return False
-        if not context.scene.chona.model_path:
-            cls.poll_message_set("Choose a model file first")
-            return False
-        return True
+        return _has_rig(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        actor = context.scene.chona.actor
         try:
-            self.report({"INFO"}, actions.make_rig(context.scene))
+            header = model_cache.load(actor.model_path)
+            if not self.keep:
+                actor.bones.clear()
+            actor.refresh_bones()
+            mapping = map_rig(actor.armature, header.names, actor.chosen_bones())
         except ChonaError as error:
             return jobs.fail(self, error)
+        if mapping.problems:
+            missing = ", ".join(mapping.problems)
+            self.report({"WARNING"}, f"{mapping.summary}. Choose bones for: {missing}")
+            actor.active_bone = list(header.names).index(next(iter(mapping.problems)))
+        else:
+            self.report({"INFO"}, f"Recognised {mapping.summary}")
         return {"FINISHED"}
 
 
-class CHONA_OT_object_add(bpy.types.Operator):
-    """Add an object of the model to the actor, moved by the active object if that is an empty"""
+class CHONA_OT_bone_pick(bpy.types.Operator):
+    """Let the selected bone of the armature move the selected bone of the table"""
 
-    bl_idname = "chona.object_add"
-    bl_label = "Add Object"
+    bl_idname = "chona.bone_pick"
+    bl_label = "Use Selected Bone"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.model_path:
+        if not _has_rig(cls, context):
+            return False
+        bone = context.scene.chona.actor.armature.data.bones.active
+        if bone is None:
+            cls.poll_message_set("Select a bone of the armature in Pose Mode first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        actor = context.scene.chona.actor
+        actor.refresh_bones()
+        if not actor.bones:
+            return jobs.fail(self, ChonaError("the table of bones is empty; choose a model that can be read"))
+        row = actor.bones[min(actor.active_bone, len(actor.bones) - 1)]
+        row.target = actor.armature.data.bones.active.name
+        self.report({"INFO"}, f"'{row.target}' moves '{row.name}'")
+        return {"FINISHED"}
+
+
+class CHONA_MT_rig_presets(bpy.types.Menu):
+    """Mappings that were saved."""
+
+    bl_label = "Mapping Presets"
+    preset_subdir = PRESET_FOLDER
+    preset_operator = "script.execute_preset"
+    draw = bpy.types.Menu.draw_preset
+
+
+class CHONA_OT_rig_preset_add(AddPresetBase, bpy.types.Operator):
+    """Save the table of bones as a preset, for the next rig of this kind; or remove the preset that is shown"""
+
+    bl_idname = "chona.rig_preset_add"
+    bl_label = "Save Mapping"
+    preset_menu = "CHONA_MT_rig_presets"
+
+    name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Name", description="Name of the preset", maxlen=64, options={"SKIP_SAVE"}
+    )
+    remove_name: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Remove", description="Remove the preset of this name", default=False, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    remove_active: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Remove Shown",
+        description="Remove the preset that was chosen last",
+        default=False,
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    preset_subdir = PRESET_FOLDER
+    preset_defines: tuple[str, ...] = ("actor = bpy.context.scene.chona.ensure_actor()",)
+    preset_values: tuple[str, ...] = ("actor.root_path", "actor.mapping")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.chona.actor is None:
             cls.poll_message_set("Choose a model file first")
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.chona
-        present = {item.name for item in settings.objects}
-        free = [name for name in model_cache.object_names(settings.model_path) if name not in present]
-        item = settings.objects.add()
-        item.name = free[0] if free else ""
-        active = context.active_object
-        if active is not None and active.type == "EMPTY":
-            item.empty = active
-        settings.active_object = len(settings.objects) - 1
-        return {"FINISHED"}
 
-
-class CHONA_OT_object_remove(bpy.types.Operator):
-    """Remove the selected object from the actor; its empty stays in the scene"""
-
-    bl_idname = "chona.object_remove"
-    bl_label = "Remove Object"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.objects:
-            cls.poll_message_set("The list of objects is empty")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.chona
-        settings.objects.remove(settings.active_object)
-        settings.active_object = min(settings.active_object, max(len(settings.objects) - 1, 0))
-        return {"FINISHED"}
-
-
-CLASSES = (CHONA_OT_create_rig, CHONA_OT_object_add, CHONA_OT_object_remove)
+CLASSES = (
+    *actors.CLASSES,
+    CHONA_OT_map_rig,
+    CHONA_OT_bone_pick,
+    CHONA_MT_rig_presets,
+    CHONA_OT_rig_preset_add,
+    *check.CLASSES,
+)

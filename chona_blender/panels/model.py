@@ -1,4 +1,4 @@
-"""The first panel: the running job, the last error, and the model."""
+"""The first panel: the running job, the last error, the actors and the selected one's model."""
 
 from __future__ import annotations
 
@@ -8,27 +8,64 @@ from .. import jobs, model_cache
 from .sidebar import Sidebar, wrapped
 
 
+class CHONA_UL_actors(bpy.types.UIList):
+    """Actors of the scene."""
+
+    def draw_item(
+        self,
+        _context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        _data: object,
+        item: bpy.types.PropertyGroup,
+        _icon: int,
+        _active_data: object,
+        _active_property: str,
+    ) -> None:
+        row = layout.row(align=True)
+        row.prop(item, "use", text="")
+        parts = row.split(factor=0.55, align=True)
+        parts.prop(item, "name", text="", emboss=False, placeholder=item.label, icon="USER")
+        armature = item.armature
+        parts.label(text=armature.name if armature is not None else "", icon="ARMATURE_DATA" if armature else "BLANK1")
+
+
 class CHONA_PT_main(Sidebar, bpy.types.Panel):
-    """The running job, the last error, and the model."""
+    """The running job, the last error, the actors and the selected one's model."""
 
     bl_idname = "CHONA_PT_main"
     bl_label = "Model"
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.chona
+        actor = settings.actor
         draw_job(self.layout)
         draw_error(self.layout)
-        column = self.columns()
-        column.prop(settings, "model_path")
-        header = model_cache.cached(settings.model_path)
+        if len(settings.actors) > 1:
+            row = self.layout.row()
+            row.template_list("CHONA_UL_actors", "", settings, "actors", settings, "active_actor", rows=3)
+            buttons = row.column(align=True)
+            buttons.operator("chona.actor_add", text="", icon="ADD")
+            buttons.operator("chona.actor_remove", text="", icon="REMOVE")
+        row = self.columns().row(align=True)
+        row.prop(actor if actor is not None else settings, "model_path" if actor is not None else "first_model")
+        if len(settings.actors) == 1:
+            row.operator("chona.actor_add", text="", icon="COMMUNITY")
+        if actor is not None:
+            self.draw_model(context, actor.model_path)
+        else:
+            wrapped(self.layout, "Choose a model file, or train one below", icon="INFO", context=context)
+
+    def draw_model(self, context: bpy.types.Context, path: str) -> None:
+        """What the model holds, or why it cannot be read."""
+        header = model_cache.cached(path)
         if header is not None:
             persons, objects = ", ".join(header.persons) or "nobody", ", ".join(header.objects) or "none"
             box = self.layout.box().column(align=True)
             box.label(text=f"People: {persons}", icon="ARMATURE_DATA")
             box.label(text=f"Objects: {objects}", icon="EMPTY_AXIS")
             box.label(text=f"{len(header.names)} bones, method {header.method or 'unknown'}", icon="INFO")
-        elif settings.model_path:
-            words = model_cache.cached_error(settings.model_path)
+        elif path:
+            words = model_cache.cached_error(path)
             if words:
                 wrapped(self.layout.box(), words[:1].upper() + words[1:], icon="ERROR", context=context)
         else:
@@ -59,4 +96,4 @@ def draw_error(layout: bpy.types.UILayout) -> None:
     row.operator("chona.dismiss_error", icon="X")
 
 
-CLASSES = (CHONA_PT_main,)
+CLASSES = (CHONA_UL_actors, CHONA_PT_main)

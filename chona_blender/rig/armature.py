@@ -94,20 +94,36 @@ def create_rig(
     empties = {}
     position = RX90 @ header.canonical_object(person)
     for each, (lower, upper) in extents.items():
-        empty = bpy.data.objects.new(each, None)
-        empty.empty_display_type = "CUBE"
-        empty.empty_display_size = max(float(np.max(upper - lower)) / 2.0, 1e-3)
-        # In canonical space the frame's axes are the world's: y of the object is up, its lowest point on the floor.
-        empty.rotation_euler = (np.pi / 2.0, 0.0, 0.0)
-        empty.location = (position[0], position[1], max(0.0, -float(lower[1])))
+        empties[each] = create_empty(scene, header, each, position, armature)
         position[0] += float(upper[0] - lower[0]) + 0.2  # the next one beside it
-        empty[OBJECT_KEY] = each
-        empty[MODEL_KEY] = stored_path(header.path)
-        if armature is not None:
-            empty[ARMATURE_KEY] = armature
-        scene.collection.objects.link(empty)
-        empties[each] = empty
     return Rig(armature, empties)
+
+
+def create_empty(
+    scene: Scene, header: ModelHeader, name: str, position: np.ndarray, armature: Object | None = None
+) -> Object:
+    """Adds the empty of one object of a model: upright, standing on the floor, as large as the object.
+
+    Args:
+        position: [3] in Blender's world; its height is not used.
+        armature: whose object it is.
+
+    Raises:
+        ChonaError: the model has no such object.
+    """
+    lower, upper = header.extents(name)
+    empty = bpy.data.objects.new(name, None)
+    empty.empty_display_type = "CUBE"
+    empty.empty_display_size = max(float(np.max(upper - lower)) / 2.0, 1e-3)
+    # In canonical space the frame's axes are the world's: y of the object is up, its lowest point on the floor.
+    empty.rotation_euler = (np.pi / 2.0, 0.0, 0.0)
+    empty.location = (position[0], position[1], max(0.0, -float(lower[1])))
+    empty[OBJECT_KEY] = name
+    empty[MODEL_KEY] = stored_path(header.path)
+    if armature is not None:
+        empty[ARMATURE_KEY] = armature
+    scene.collection.objects.link(empty)
+    return empty
 
 
 def _lowest_tail(header: ModelHeader, joints: np.ndarray) -> float:
