@@ -88,6 +88,7 @@ class ExactTrainer:
         method: str = "chona", shape: ExactShape | None = None,
     ) -> None:  # fmt: skip
         check_dataset(dataset)
+        groups = group_by_pose(dataset, image_scale)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
         self.rays = max(MIN_RAYS, round(settings.rays * image_scale**2))
@@ -96,7 +97,6 @@ class ExactTrainer:
         persons, objects = dict(dataset.persons), dict(dataset.objects)
         self._actor = ExactActor(model, dataset.skeleton, persons, objects, distance)
         self._initialise(dataset)
-        groups = group_by_pose(dataset, image_scale)
         prepared = [self._actor.figure(group.views[0].pose) for group in groups]
         self.figures: list[Figure] = [figure for figure, _, _ in prepared]
         self.poses: list[PoseBatch] = [poses for _, _, poses in prepared]

@@ -60,6 +60,7 @@ class GridTrainer:
         shape: GridModelShape | None = None, device: str = "cpu", dtype: torch.dtype = torch.float32,
     ) -> None:  # fmt: skip
         check_dataset(dataset)
+        self.groups = group_by_pose(dataset, image_scale)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
         slots = max((len(view.pose.objects) for view in dataset.views), default=0)
@@ -67,7 +68,6 @@ class GridTrainer:
         guessed = any(person.surface is None for person in dataset.persons.values())
         self.learns_skinning = guessed or settings.refine_given_weights
         self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
-        self.groups = group_by_pose(dataset, image_scale)
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
         carve_hull(self.model, self.posed, [list(zip(group.views, group.pixels, strict=True)) for group in self.groups])
         empty = [part.name for part, count in self._occupied() if count == 0]

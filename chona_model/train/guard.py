@@ -17,16 +17,19 @@ from torch import Tensor
 
 from chona_model.train.errors import TrainingError, likely_causes
 
+FOG = 1.05
+"""From this share of an empty picture's error on the model does not just show nothing."""
+
 
 @dataclass(frozen=True)
 class GuardSettings:
     """When a training counts as lost.
 
     Attributes:
-        window: steps over which errors are averaged (exponentially).
+        window: steps over which errors are averaged (exponentially); glance: those that count as the last few.
         limit: a model whose error is over this share of an empty picture's shows next to nothing.  Trainings that go
             well start at 0.5 to 0.9 and fall (docs/training.md).
-        patience: so many steps in a row above the limit, and the training is lost.
+        patience: so many steps in a row above the limit, and the training is lost; closing: at its end, so many.
         floor: mean squared errors below this are never held against a model (30 dB): where hardly anything is to be
             seen, an empty picture is nearly right.
         learned: a model once under this share of an empty picture's error had learned something that can be lost.
@@ -34,8 +37,10 @@ class GuardSettings:
     """
 
     window: int = 32
+    glance: int = 4
     limit: float = 0.95
     patience: int = 150
+    closing: int = 32
     floor: float = 1e-3
     learned: float = 0.8
     look_every: int = 100
@@ -46,13 +51,16 @@ class GuardState:
     """What a guard remembers; part of a checkpoint.
 
     Attributes:
-        error, empty: averaged squared errors of the model and of an empty picture.
+        error, empty: averaged squared errors of the model and of an empty picture; last_error, last_empty: the same
+            over the last few steps alone.
         above: steps in a row above the limit; seen: steps in all.
         best: lowest share of an empty picture's error; best_step: when.
     """
 
     error: float = 0.0
     empty: float = 0.0
+    last_error: float = 0.0
+    last_empty: float = 0.0
     above: int = 0
     seen: int = 0
     best: float = math.inf
@@ -80,14 +88,16 @@ class Guard:
         if not all(math.isfinite(value) for value in report.values()):
             raise TrainingError(f"step {step} reports {dict(report)}: not finite; {likely_causes(self.rates)}")
         state.seen += 1
+        error, empty = (10.0 ** (-report[name] / 10.0) for name in ("psnr", "empty_psnr"))
         # The first steps are averaged evenly: an average that starts at the first value would be ruled by it.
-        share = 1.0 / min(state.seen, settings.window)
-        state.error += share * (10.0 ** (-report["psnr"] / 10.0) - state.error)
-        state.empty += share * (10.0 ** (-report["empty_psnr"] / 10.0) - state.empty)
+        share, last = 1.0 / min(state.seen, settings.window), 1.0 / min(state.seen, settings.glance)
+        state.error += share * (error - state.error)
+        state.empty += share * (empty - state.empty)
+        state.last_error += last * (error - state.last_error)
+        state.last_empty += last * (empty - state.last_empty)
         if self.ratio < state.best and state.seen >= settings.window:
             state.best, state.best_step = self.ratio, step
-        suspect = self.ratio >= settings.limit and state.error >= settings.floor
-        state.above = state.above + 1 if suspect else 0
+        state.above = state.above + 1 if self._shows_nothing(state.error, state.empty) else 0
         if state.above >= settings.patience:
             raise TrainingError(self._lost(step))
 
@@ -99,7 +109,12 @@ class Guard:
     @property
     def lost_what_it_had(self) -> bool:
         """Whether the model had learned something and shows next to nothing now: not to be written over a good one."""
-        return self.state.above > 0 and self.state.best < self.settings.learned
+        state = self.state
+        return state.best < self.settings.learned and self._shows_nothing(state.last_error, state.last_empty)
+
+    def _shows_nothing(self, error: float, empty: float) -> bool:
+        floor = self.settings.floor
+        return error >= floor and error >= self.settings.limit * max(empty, floor)
 
     def look_due(self, step: int) -> bool:
         """Whether all tensors are to be looked at after this step."""
@@ -123,9 +138,9 @@ class Guard:
         """The last word before the model is written.
 
         Raises:
-            TrainingError: what the model had learned is gone.
+            TrainingError: the model shows next to nothing, because it never learned or because that is gone.
         """
-        if self.lost_what_it_had:
+        if self.lost_what_it_had or self.state.above >= self.settings.closing:
             raise TrainingError(self._lost(step))
 
     def position(self) -> dict[str, float]:
@@ -134,9 +149,11 @@ class Guard:
 
     def _lost(self, step: int) -> str:
         state = self.state
-        shows = "shows no more than an empty picture" if self.ratio < 1.05 else "is worse than an empty picture (fog)"
+        ratio = max(self.ratio, state.last_error / max(state.last_empty, self.settings.floor))
+        shows = "shows no more than an empty picture" if ratio < FOG else "is worse than an empty picture (fog)"
+        since = f"for {state.above} steps up to" if state.above else "at"
         had = f"; it was best at step {state.best_step} ({state.best:.2f})" if state.best < self.settings.limit else ""
         return (
-            f"the model {shows} for {state.above} steps up to step {step}: its error is {self.ratio:.2f} of an empty "
-            f"picture's{had}; {likely_causes(self.rates)}"
+            f"the model {shows} {since} step {step}: its error is {ratio:.2f} of an empty picture's{had}; "
+            f"{likely_causes(self.rates)}"
         )

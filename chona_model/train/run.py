@@ -152,7 +152,7 @@ class _Loop:
         report: dict[str, float] = {}
         with TrainingLog(self.out, self.done if self.resumes else 0) as log:
             began = time.perf_counter() - self.spent
-            looked, warm = time.perf_counter(), self.done > 0
+            saved, warm = time.perf_counter(), self.done > 0
             while not progress.cancelled_by_user and self.share < 1.0:
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
@@ -165,11 +165,11 @@ class _Loop:
                 self.guard.observe(self.done, report)
                 if self.guard.look_due(self.done):
                     self.guard.look(self.done, self.trainer.tensors())
-                if time.perf_counter() - looked > CHECKPOINT_SECONDS:
+                due = time.perf_counter() - saved > CHECKPOINT_SECONDS
+                if due and not self.guard.lost_what_it_had:
                     log.flush()
-                    if not self.guard.lost_what_it_had:
-                        self._save()
-                    looked = time.perf_counter()
+                    self._save()
+                    saved = time.perf_counter()
         if report:
             self._tell(progress, report)
         self.guard.close(self.done)
