@@ -28,7 +28,17 @@ REQUIRED = (
     "license",
 )
 SKIPPED = {"__pycache__"}
-ALLOWED_IN_BLENDER = {"bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "blf", "addon_utils", "numpy"}
+ALLOWED_IN_BLENDER = {
+    "bpy",
+    "bpy_extras",
+    "mathutils",
+    "gpu",
+    "gpu_extras",
+    "blf",
+    "addon_utils",
+    "bl_operators",
+    "numpy",
+}
 
 
 class BuildError(Exception):

@@ -45,7 +45,7 @@ walks rays through a model (``render.tracing``) lies above them.
 """
 
 NOT_IN_THE_MODEL = {"bpy", "bpy_extras", "mathutils", "gpu", "chona_blender"}
-IN_BLENDER = {"bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "blf", "addon_utils", "numpy"}
+IN_BLENDER = {"bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "blf", "addon_utils", "bl_operators", "numpy"}
 FORBIDDEN_CALLS = {
     "eval": "text is never run",
     "exec": "text is never run",
