@@ -16,6 +16,9 @@ SINGULAR_DETERMINANT = 1e-4
 
 A rotation has 1; 1e-4 means that a volume element shrinks ten thousand times more than its mean edge says."""
 
+SMALLEST_SCALE = 1e6
+"""Matrices whose entries stay below this many times the smallest normal number are zero: no inverse is in range."""
+
 DAMPING = 1e-2
 """Levenberg damping of singular matrices, as a share of the matrix's scale."""
 
@@ -117,9 +120,12 @@ def inverse_3x3(matrices: Tensor) -> Inverse3x3:
     finite = torch.isfinite(matrices).all(dim=-1).all(dim=-1)
     usable = torch.where(finite[..., None, None], matrices, 0.0)
     largest = usable.abs().amax(dim=(-2, -1), keepdim=True)
-    peak = torch.where(largest > 0, largest, 1.0)
+    # A matrix of 1e-38 has no inverse in float32's range: it counts as zero.
+    nothing = largest <= SMALLEST_SCALE * torch.finfo(matrices.dtype).tiny
+    usable = torch.where(nothing, 0.0, usable)
+    peak = torch.where(nothing, 1.0, largest)
     scale = peak * torch.sqrt((usable / peak).square().sum(dim=(-2, -1), keepdim=True) / 3.0)
-    scale = torch.where(largest > 0, scale, 1.0)
+    scale = torch.where(nothing, 1.0, scale)
     unit = usable / scale
     adjugate, determinant = _adjugate(unit)
     regular = (determinant.abs() > SINGULAR_DETERMINANT) & finite
