@@ -12,6 +12,7 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
+from chona_model.deform.between import look_between
 from chona_model.deform.gradients import attach_implicit_gradients
 from chona_model.deform.inverse import Roots, bone_distances, bone_starts, canonical_distances, find_roots
 from chona_model.deform.predict import Prediction, predict
@@ -117,7 +118,10 @@ class ExactModel(nn.Module):
                 return prediction.warp(x, index[rows])
             return self.deform.with_jacobian(x, poses, index[rows], settings.offset)
 
-        roots = find_roots(warp, targets, starts, usable, size=self.shape.size, settings=settings.inverse)
+        size, inverse = self.shape.size, settings.inverse
+        roots = find_roots(warp, targets, starts, usable, size=size, settings=inverse)
+        if prediction is None:
+            roots = look_between(warp, targets, starts, usable, roots, size=size, settings=inverse)
         return replace(roots, empty=empty)
 
     def _prediction(self, poses: PoseBatch, cell: float) -> Prediction:
