@@ -76,7 +76,7 @@ class GridField(nn.Module):
         table = torch.rand(parts, shape.levels, 1 << shape.rows, FEATURES) * 2e-4 - 1e-4
         self.table = nn.Parameter(table)
         self.gradient = TableGradient(table)
-        self.person_codes = nn.Parameter(0.1 * torch.randn(persons, shape.code))
+        self.person_codes = nn.Parameter(0.1 * torch.randn(max(persons, 1), shape.code))
         self.object_codes = nn.Parameter(0.1 * torch.randn(max(parts - persons, 1), shape.code))
         inputs = shape.levels * FEATURES
         self.density_in = nn.Linear(inputs, shape.hidden)

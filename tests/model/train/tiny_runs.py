@@ -74,5 +74,5 @@ def train(
 if __name__ == "__main__":
     from chona_model.cli import main
 
-    loop.make_trainer, loop.LOG_EVERY, loop.CHECKPOINT_SECONDS = make_small, 1, 0.05  # type: ignore[assignment]
+    loop.make_trainer, loop.LOG_EVERY, loop.CHECKPOINT_SECONDS = make_small, 1, 0.1  # type: ignore[assignment]
     sys.exit(main(sys.argv[1:]))
