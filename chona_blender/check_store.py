@@ -14,6 +14,8 @@ class CHONA_PG_finding(bpy.types.PropertyGroup):
     """A row of the list of findings; the finding itself has the same place in the report."""
 
     name: bpy.props.StringProperty(name="Finding", description="What is wrong, where and when")  # type: ignore[valid-type]
+    title: bpy.props.StringProperty(name="About", description="The bone or object that is wrong")  # type: ignore[valid-type]
+    short: bpy.props.StringProperty(name="In Short", description="What is wrong in two or three words")  # type: ignore[valid-type]
     kind: bpy.props.StringProperty(name="Kind", description="ERROR, WARNING or INFO")  # type: ignore[valid-type]
 
 
@@ -38,6 +40,7 @@ def keep(scene: bpy.types.Scene, report: Report) -> None:
     for finding in report.findings:
         row = shown.rows.add()
         row.name, row.kind = finding.words, finding.kind
+        row.title, row.short = finding.title, finding.short or finding.words
 
 
 def report_of(scene: bpy.types.Scene) -> Report | None:

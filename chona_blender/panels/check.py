@@ -26,7 +26,9 @@ class CHONA_UL_findings(bpy.types.UIList):
         index: int = 0,
     ) -> None:
         row = layout.row(align=True)
-        row.label(text=item.name, icon=_ICONS.get(item.kind, "INFO"))
+        parts = row.split(factor=0.52, align=True)
+        parts.label(text=item.title, icon=_ICONS.get(item.kind, "INFO"))
+        parts.label(text=item.short)
         row.operator("chona.show_finding", text="", icon="RESTRICT_SELECT_OFF").index = index
 
 

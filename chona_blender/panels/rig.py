@@ -80,7 +80,7 @@ class CHONA_UL_bones(bpy.types.UIList):
         _active_data: object,
         _active_property: str,
     ) -> None:
-        parts = layout.split(factor=0.42, align=True)
+        parts = layout.split(factor=0.46, align=True)
         parts.label(text=item.name, icon=_ROW_ICONS.get(item.state, "ERROR"))
         part = parts.row(align=True)
         part.alert = item.state not in _ROW_ICONS
@@ -113,8 +113,8 @@ class CHONA_PT_bones(Sidebar, bpy.types.Panel):
             return
         self.layout.template_list("CHONA_UL_bones", "", actor, "bones", actor, "active_bone", rows=8)
         row = self.layout.row(align=True)
-        row.operator("chona.bone_pick", icon="EYEDROPPER")
-        row.operator("chona.map_rig", text="Recognise Others", icon="FILE_REFRESH").keep = True
+        row.operator("chona.bone_pick", text="Use Selected", icon="EYEDROPPER")
+        row.operator("chona.map_rig", text="Find Others", icon="FILE_REFRESH").keep = True
 
 
 CLASSES = (CHONA_UL_objects, CHONA_UL_bones, CHONA_PT_rig, CHONA_PT_bones, *check.CLASSES)

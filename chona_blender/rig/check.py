@@ -21,6 +21,9 @@ from .validation import STRETCH_LIMIT
 PLACED_WITHIN = 0.02
 """Metres; a hand or foot that lands farther from the animator's is told."""
 
+LEGS_WITHIN = 0.03
+"""Legs that differ less in length stand on the same ground."""
+
 _ENDS = {
     "hand.L": "left hand", "hand.R": "right hand", "foot.L": "left foot", "foot.R": "right foot", "head": "head",
 }  # fmt: skip
@@ -86,6 +89,7 @@ def check(scene: Scene, plans: Sequence[ActorPlan], frames: Iterable[int], progr
             continue
         if found.driver is not None:
             findings += _ends(label, found, taken, pose)
+            findings += _legs(label, found)
             seen, strip = _seen(label, found, taken, pose)
             findings += seen
             strips.append(strip)
@@ -103,16 +107,17 @@ def _mapping(label: str, plan: ActorPlan) -> Iterator[Finding]:
     for bone, target in list(chosen.items()):
         if target and target != FOLLOW and target not in armature.data.bones:
             words = f"'{bone}' is mapped to '{target}', which the armature does not have"
-            yield Finding(ERROR, label, armature.name, "", bone, None, words)
+            yield Finding(ERROR, label, armature.name, "", bone, None, words, "no such bone")
             del chosen[bone]
     mapping = map_rig(armature, plan.header.names, chosen)
     for bone in mapping.problems:
-        yield Finding(ERROR, label, armature.name, "", bone, None, f"Nothing moves '{bone}': choose a bone for it")
+        words = f"Nothing moves '{bone}': choose a bone for it"
+        yield Finding(ERROR, label, armature.name, "", bone, None, words, "no bone")
     followers = [bone for bone, found in mapping.bones.items() if not found and bone not in mapping.problems]
     if followers:
         words = ", ".join(followers[:4]) + (f" and {len(followers) - 4} more" if len(followers) > 4 else "")
         words = f"Without a bone, kept to the parent: {words}"
-        yield Finding(INFO, label, armature.name, "", followers[0], None, words)
+        yield Finding(INFO, label, armature.name, "", followers[0], None, words, "kept to parent")
 
 
 def _pose(found: Cast, taken: Samples) -> RigidPose:
@@ -140,7 +145,32 @@ def _ends(label: str, found: Cast, taken: Samples, pose: RigidPose) -> Iterator[
             when = frame_words(taken.frames[away > PLACED_WITHIN].tolist())
             text = f"The {words} is up to {100 * away.max():.0f} cm from the rig's in {when}: it stretches too far"
             frame = int(taken.frames[away.argmax()])
-            yield Finding(WARNING, label, driver.armature.name, bones[0], chain[0], frame, text)
+            short = f"{100 * away.max():.0f} cm away"
+            yield Finding(WARNING, label, driver.armature.name, bones[0], chain[0], frame, text, short)
+
+
+def _legs(label: str, found: Cast) -> Iterator[Finding]:
+    """Legs of another length than the armature's, where the hips do not make up for it."""
+    driver = found.driver
+    if driver is None or driver.alignment is None or driver.legs_scale or driver.alignment.same_body:
+        return
+    names = list(driver.skeleton.names)
+    parts = [driver.mapping.model.parts.get(f"{part}.L") for part in ("upper_leg", "lower_leg", "foot")]
+    chain = [each[0] for each in parts if each and driver.mapping.bones[each[0]]]
+    if len(chain) < len(parts):
+        return
+    own = driver.skeleton.joints[[names.index(name) for name in chain]]
+    rigs = np.array([driver.heads[driver.mapping.bones[name][0]] for name in chain]) * driver.size
+    lengths = [float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in (own, rigs)]
+    off = lengths[1] / max(lengths[0], 1e-9) - 1.0
+    if abs(off) > LEGS_WITHIN:
+        way = "longer" if off > 0 else "shorter"
+        words = (
+            f"The rig's legs are {100 * abs(off):.0f} % {way} than the figure's: set Path to Scaled by Legs, or its "
+            "feet will not stand where the rig's do"
+        )
+        bone = driver.mapping.bones[chain[0]][0]
+        yield Finding(INFO, label, driver.armature.name, bone, chain[0], None, words, "other legs")
 
 
 def _seen(label: str, found: Cast, taken: Samples, pose: RigidPose) -> tuple[list[Finding], Strip]:
@@ -160,9 +190,11 @@ def _seen(label: str, found: Cast, taken: Samples, pose: RigidPose) -> tuple[lis
         bones = driver.mapping.bones[name]
         degrees = np.degrees(outside.max())
         when = frame_words(taken.frames[outside > 0.0].tolist())
-        words = f"{degrees:.0f}° outside the poses the model has seen: '{name}' in {when}"
-        frame = int(taken.frames[outside.argmax()])
-        findings.append(Finding(WARNING, label, driver.armature.name, bones[0] if bones else "", name, frame, words))
+        frame, bone = int(taken.frames[outside.argmax()]), bones[0] if bones else ""
+        words = f"'{bone or name}' is turned {degrees:.0f}° further than in any pose the model has seen, in {when}"
+        findings.append(
+            Finding(WARNING, label, driver.armature.name, bone, name, frame, words, f"{degrees:.0f}° unseen")
+        )
     far = taken.frames[result.level > 0.0]
     words = f"{frame_words(far.tolist())} outside the training poses" if len(far) else "as in the training poses"
     return findings, Strip(label, taken.frames, result.level, words)

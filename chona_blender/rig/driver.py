@@ -44,6 +44,11 @@ class Driver:
     heads: dict[str, np.ndarray]
     legs_scale: bool
 
+    @property
+    def size(self) -> float:
+        """Metres of Blender's world in a unit of the armature, by its object as it is now."""
+        return float(np.cbrt(abs(np.linalg.det(np.array(self.armature.matrix_world)[:3, :3]))))
+
     def pose(
         self,
         samples: Samples,

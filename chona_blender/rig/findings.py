@@ -20,6 +20,7 @@ class Finding:
         model_bone: of the model, '' for none.
         frame: the worst one, None where it is wrong in all.
         words: what it is, for people.
+        short: the same in two or three words, to stand behind the bone's name.
     """
 
     kind: str
@@ -29,6 +30,12 @@ class Finding:
     model_bone: str
     frame: int | None
     words: str
+    short: str = ""
+
+    @property
+    def title(self) -> str:
+        """What it is about: the bone, else the object or the actor."""
+        return self.bone or self.model_bone or self.item or self.actor or "Scene"
 
 
 def frame_words(numbers: Iterable[int], most: int = 3) -> str:

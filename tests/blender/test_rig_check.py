@@ -78,6 +78,7 @@ def test_check_tells_bone_and_frame(found: dict) -> None:
     assert kind == "WARNING" and "scaled to 1.05 in all frames" in words
     kind, frame, words = told["RightLeg"]
     assert (kind, frame) == ("ERROR", 3) and "zero scale in frame 3" in words
+    assert "LeftHand" not in told, "a hand that only inherits its arm's shear is not told"
     kinds = [kind for kind, *_ in found["wrong"]["wrong"]]
     assert kinds == sorted(kinds, key=["ERROR", "WARNING", "INFO"].index)
     assert found["wrong"]["rows"] == [words for *_, words in found["wrong"]["wrong"]]
@@ -92,8 +93,8 @@ def test_the_strip_is_green_in_training_and_red_far_from_it(found: dict) -> None
     assert case["level"][:2] == [0.0, 0.0] and case["level"][2] == 1.0
     assert case["words"] == "frame 3 outside the training poses"
     ((kind, bone, frame, words),) = case["told"]
-    assert (kind, bone, frame) == ("WARNING", "LeftLeg", 3) and "outside the poses the model has seen" in words
-    degrees = float(words.split("°")[0])
+    assert (kind, bone, frame) == ("WARNING", "LeftLeg", 3) and "further than in any pose the model has seen" in words
+    degrees = float(words.split(" turned ")[1].split("°")[0])
     assert np.degrees(2.4) - 60.0 < degrees < np.degrees(2.4) - 10.0
     green, red = case["paint"][0], case["paint"][2]
     assert green[1] > green[0] and red[0] > red[1]
