@@ -13,7 +13,18 @@ tune()  # before torch is imported
 
 from benchmarks.common import Bench, parser  # noqa: E402
 
-SUBJECTS = ("training", "frames", "growth", "memory", "startup", "exact", "distilled", "recovery", "numerics")
+SUBJECTS = (
+    "training",
+    "frames",
+    "growth",
+    "memory",
+    "startup",
+    "exact",
+    "distilled",
+    "recovery",
+    "numerics",
+    "estimate",
+)
 WITHOUT_DATA = {"recovery", "numerics"}
 """Subjects that need no capture; ``recovery`` also measures the poses of one that is there."""
 

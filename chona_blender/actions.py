@@ -5,11 +5,11 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from . import compositing, diagnosis, model_cache, preferences
+from . import compositing, diagnosis, model_cache, preferences, presets
 from .errors import ChonaError
 from .frames import describe_frames
 from .jobs import Job
@@ -83,6 +83,23 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
     settings = settings_of(scene)
     plans = actor_plans(scene)
     name = bake_name(settings)
+    preset, frames = presets.check(settings.preset), bake_frames(scene)
+    folder = writable_folder(settings.output_folder, "output folder")
+    python = worker_python()
+    shot = folder / f"{name}.shot.npz"
+    sampled = sample_actors(scene, plans, frames, name)
+    save_shot(shot, sampled)
+    arguments = ["bake", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot), "--out", str(folder)]
+    arguments += ["--preset", preset, *device(), *(["--overwrite"] if settings.overwrite else [])]
+    if settings.max_error > 0.0:
+        arguments += ["--max-error", f"{settings.max_error:.6g}"]
+    job = Job(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments))
+    return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
+
+
+def bake_frames(scene: bpy.types.Scene) -> list[int]:
+    """The frames of the scene's bake, refused where there are none."""
+    settings = settings_of(scene)
     frames = settings.frames()
     if not frames:
         first, last = (
@@ -91,15 +108,21 @@ def start_bake(scene: bpy.types.Scene) -> Bake:
             else (settings.frame_start, settings.frame_end)
         )
         raise ChonaError(f"the frame range {first} to {last} is empty; set a last frame that is not before the first")
-    folder = writable_folder(settings.output_folder, "output folder")
-    python = _worker_python()
-    shot = folder / f"{name}.shot.npz"
-    sampled = sample_actors(scene, plans, frames, name)
-    save_shot(shot, sampled)
-    arguments = ["bake", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot), "--out", str(folder)]
-    arguments += ["--preset", settings.preset, *_device(), *(["--overwrite"] if settings.overwrite else [])]
-    job = Job(f"Bake {name} ({settings.preset}, {describe_frames(frames)})", chona_command(python, arguments))
-    return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
+    return frames
+
+
+def error_words(result: dict[str, Any]) -> str:
+    """What a bake with an error bound has reached, from the worker's result; nothing without a bound."""
+    bound = result.get("max_error")
+    if not isinstance(bound, dict):
+        return ""
+    try:
+        if bound["unsettled"]:
+            many = f"{bound['unsettled']} of {bound['pixels']} pixels"
+            return f"; {many} still change by more than {bound['asked']:g}, up to {bound['error']:.3g}"
+        return f"; every pixel within {bound['asked']:g} ({bound['error']:.3g} reached)"
+    except (KeyError, TypeError, ValueError) as error:
+        raise ChonaError(f"what the worker says of the error bound is not understood ({error})") from error
 
 
 def sample_now(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Shot:
@@ -142,20 +165,32 @@ def actor_plan(actor: CHONA_PG_actor) -> ActorPlan:
 def start_train(scene: bpy.types.Scene) -> Job:
     """Start a training on the folder that the settings name."""
     settings = settings_of(scene)
-    if not settings.data_folder.strip():
-        raise ChonaError("no data folder is set; choose the folder with the captures under Train")
-    data = absolute(settings.data_folder)
-    if not data.is_dir():
-        raise ChonaError(f"there is no data folder {data}; choose the folder with the captures under Train")
+    data = data_folder(scene, "Train")
     run = writable_folder(settings.run_folder, "result folder")
-    python = _worker_python()
+    python = worker_python()
     arguments = ["train", "--data", str(data), "--format", settings.data_format, "--out", str(run)]
-    arguments += ["--preset", settings.train_preset, "--minutes", f"{settings.minutes:g}", *_device()]
+    arguments += ["--preset", settings.train_preset, "--minutes", f"{settings.minutes:g}", *device()]
     if settings.sequences.strip():
-        arguments += ["--sequences", ",".join(part.strip() for part in settings.sequences.split(",") if part.strip())]
+        arguments += ["--sequences", ",".join(listed(settings.sequences))]
     if settings.resume:
         arguments.append("--resume")
     return Job(f"Train {data.name}", chona_command(python, arguments))
+
+
+def data_folder(scene: bpy.types.Scene, panel: str) -> Path:
+    """The folder with the captures, refused where it is not there; `panel` is where to choose it."""
+    given = settings_of(scene).data_folder
+    if not given.strip():
+        raise ChonaError(f"no data folder is set; choose the folder with the captures under {panel}")
+    data = absolute(given)
+    if not data.is_dir():
+        raise ChonaError(f"there is no data folder {data}; choose the folder with the captures under {panel}")
+    return data
+
+
+def listed(text: str) -> list[str]:
+    """The names in `a, b`."""
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def trained_model(scene: bpy.types.Scene) -> Path:
@@ -182,7 +217,7 @@ def bake_name(settings: CHONA_PG_settings) -> str:
     return name
 
 
-def _worker_python() -> Path:
+def worker_python() -> Path:
     """The worker's Python after a quick look at what it has; what is wrong is kept for the report."""
     report = check_worker(preferences.worker_python(), load=False, seconds=60.0)
     if not report.good:
@@ -191,6 +226,7 @@ def _worker_python() -> Path:
     return report.python
 
 
-def _device() -> list[str]:
+def device() -> list[str]:
+    """Arguments for the device that the user has chosen."""
     chosen = preferences.device()
     return [] if chosen == "auto" else ["--device", chosen]

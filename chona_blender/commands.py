@@ -17,10 +17,10 @@ from typing import NoReturn
 
 import bpy
 
-from . import actions, capturing, compositing, jobs, preferences, worker
+from . import actions, capturing, compositing, jobs, measuring, preferences, presets, worker
 from .errors import ChonaError
 from .frames import parse_frames
-from .properties import FORMATS, PRESETS, TRAIN_PRESETS
+from .properties import FORMATS, TRAIN_PRESETS
 from .worker_check import check_worker
 
 DONE, FAILED, WRONG = 0, 1, 2
@@ -60,8 +60,20 @@ def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     for words in started.warnings:
         _say(f"chona: warning: {words}")
     code = _run(started.job)
+    if code == DONE and actions.error_words(started.job.result):
+        _say(f"chona: {started.job.title}{actions.error_words(started.job.result)}")
     if code == DONE and arguments.composite:
         return composite(scene, arguments)
+    return code
+
+
+def estimate(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
+    """Predict the bake with each preset, one line each on stdout."""
+    job = measuring.start_estimate(scene)
+    code = _run(job)
+    if code == DONE:
+        sys.stdout.write("\n".join(measuring.keep_estimate(scene, job)) + "\n")
+        sys.stdout.flush()
     return code
 
 
@@ -165,7 +177,7 @@ def _apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         ("model", "model_path"),
         ("person", "person"),
         ("name", "name"),
-        ("preset", "preset"),
+        ("max_error", "max_error"),
         ("out", "output_folder"),
         ("overwrite", "overwrite"),
         ("data", "data_folder"),
@@ -179,6 +191,8 @@ def _apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
     ):
         if option in given:
             setattr(settings, target, str(Path(given[option]).absolute()) if option in PATH_OPTIONS else given[option])
+    if "preset" in given:
+        settings.preset = presets.check(given["preset"])
     if "armature" in given:
         settings.armature = _object(given["armature"])
     for name in ("capture_armature", "capture_object"):
@@ -194,6 +208,13 @@ PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
 CAPTURE_OPTIONS = tuple(
     f"capture_{name}" for name in ("person", "sequence", "folder", "cameras", "width", "height", "samples")
 )
+
+
+def _bound(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 0.5:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 0.5")
+    return value
 
 
 def _set_frames(settings: bpy.types.PropertyGroup, text: str) -> None:
@@ -260,19 +281,26 @@ def _parser() -> argparse.ArgumentParser:
             help="save the file when done, under this name or its own",
         )
 
+    def shot(command: argparse.ArgumentParser) -> None:
+        actor(command)
+        command.add_argument("--armature", metavar="OBJECT", help="armature object that poses the person")
+        command.add_argument(
+            "--object", action="append", metavar="NAME=EMPTY",
+            help="object of the model and what moves it; repeat for more",
+        )  # fmt: skip
+        command.add_argument("--frames", metavar="A-B[:STEP]", help="frames to bake (default: the settings')")
+        command.add_argument("--preset", metavar="NAME", help=f"{', '.join(presets.OWN)}, or one of your own")
+        python(command)
+
     one = add("bake", bake, "Render the posed actor to EXR frames.")
-    actor(one)
+    shot(one)
     layer(one)
-    python(one)
     save(one)
-    one.add_argument("--armature", metavar="OBJECT", help="armature object that poses the person")
-    one.add_argument(
-        "--object", action="append", metavar="NAME=EMPTY", help="object of the model and what moves it; repeat for more"
-    )
-    one.add_argument("--frames", metavar="A-B[:STEP]", help="frames to bake (default: the settings')")
-    one.add_argument("--preset", choices=[item[0] for item in PRESETS], help="quality")
+    one.add_argument("--max-error", type=_bound, metavar="E", help="render pixels finer until they change by no more")
     one.add_argument("--overwrite", action="store_const", const=True, help="bake frames again that are up to date")
     one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
+
+    shot(add("estimate", estimate, "Predict the bake with each preset after timing this computer for two seconds."))
 
     one = add("composite", composite, "Put baked frames into the scene's compositor by depth.")
     layer(one)

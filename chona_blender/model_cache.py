@@ -58,6 +58,12 @@ def cached(path: str) -> ModelHeader | None:
     return None if known is None else known[1]
 
 
+def stamp(path: str) -> float | None:
+    """When the file whose header has been read was last changed; never opens a file."""
+    known = _headers.get(bpy.path.abspath(path))
+    return None if known is None else known[0]
+
+
 def cached_error(path: str) -> str:
     """Why the file could not be read, if that has been tried."""
     return _errors.get(bpy.path.abspath(path), "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,9 @@ class ModelHeader:
         method: name of the trained method.
         version: format version of the file.
         raw: the whole JSON description.
+        trade: what `chona trade` measured of the model, {"presets": {name: {"seconds", "psnr", …}}, …}; None where it
+            was not measured, or where that is damaged.
+        trade_problem: what is wrong with a damaged one; the model can be used all the same.
     """
 
     path: Path
@@ -44,6 +48,8 @@ class ModelHeader:
     method: str
     version: int
     raw: dict[str, Any] = field(repr=False, compare=False)
+    trade: dict[str, Any] | None = field(default=None, repr=False, compare=False)
+    trade_problem: str = ""
 
     def rest_joints(self, person: str) -> np.ndarray:
         """Canonical rest joints [B, 3] of a person, metres.
@@ -79,8 +85,8 @@ def _listed(names: Any) -> str:
     return ", ".join(f"'{name}'" for name in names) or "none"
 
 
-def _read_metadata(path: Path) -> dict[str, Any]:
-    """The JSON header of a safetensors file."""
+def _read_metadata(path: Path) -> tuple[dict[str, Any], object]:
+    """The description in a safetensors file's header, and what stands there as its trade, unchecked."""
     other = f"'{path}' is not a CHONA model file (a .safetensors file that 'chona train' writes)"
     try:
         size = path.stat().st_size
@@ -112,7 +118,24 @@ def _read_metadata(path: Path) -> dict[str, Any]:
         raise ChonaError(f"{other}: its entry 'chona' is not JSON. Choose another file") from None
     if not isinstance(raw, dict) or raw.get("format") != "chona-model":
         raise ChonaError(f"{other}: its format is not 'chona-model'. Choose another file")
-    return raw
+    return raw, metadata.get("chona.trade")
+
+
+def read_trade(text: object) -> tuple[dict[str, Any] | None, str]:
+    """What was measured of a model, and what is wrong with it: a model that nobody measured has neither."""
+    if text is None:
+        return None, ""
+    try:
+        trade = json.loads(text)  # type: ignore[arg-type]
+        for figures in trade["presets"].values():
+            known = (figures["seconds"], *(figures[name] for name in ("psnr", "ssim") if figures[name] is not None))
+            if not all(isinstance(value, float | int) and math.isfinite(value) for value in known):
+                raise ValueError("a figure that is no number")
+        if not all(isinstance(length, int) for length in trade["size"]) or len(trade["size"]) != 2:
+            raise ValueError("no size")
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return None, f"What was measured of this model is damaged ({type(error).__name__}: {error}). Measure it again"
+    return trade, ""
 
 
 def _joints(value: Any, bones: int, person: str, path: Path) -> np.ndarray:
@@ -132,7 +155,7 @@ def read_model_header(path: str | Path) -> ModelHeader:
         ChonaError: no such file, not a model file, another version, or a description that contradicts itself.
     """
     path = Path(path)
-    raw = _read_metadata(path)
+    raw, measured = _read_metadata(path)
     version = raw.get("version")
     if version != MODEL_VERSION:
         newer = isinstance(version, int) and version > MODEL_VERSION
@@ -155,4 +178,5 @@ def read_model_header(path: str | Path) -> ModelHeader:
         raise ChonaError(
             f"Model '{path.name}' has a damaged description ({type(error).__name__}: {error}). Train or copy it again"
         ) from error
-    return ModelHeader(path, names, parents, persons, objects, distance, str(raw.get("method", "")), version, raw)
+    method, trade = str(raw.get("method", "")), read_trade(measured)
+    return ModelHeader(path, names, parents, persons, objects, distance, method, version, raw, *trade)

@@ -7,14 +7,9 @@ from collections.abc import Iterator
 
 import bpy
 
+from . import presets
 from .actor_properties import RELATIVE_PATH, CHONA_PG_actor, CHONA_PG_object
 
-PRESETS = (
-    ("draft", "Draft", "Fastest: for timing and placement"),
-    ("preview", "Preview", "Fast: good enough to judge a pose"),
-    ("final", "Final", "For the final picture"),
-    ("exact", "Exact", "Every step as in the paper, no shortcut: slow, for comparison"),
-)
 FORMATS = (
     ("auto", "Automatic", "Recognise the kind of data from the folder"),
     ("behave", "BEHAVE", "A folder in the layout of the BEHAVE data set"),
@@ -27,6 +22,10 @@ TRAIN_PRESETS = (
     ("fast", "Fast", "Grid encodings and small networks: minutes on a processor"),
     ("paper", "Paper", "The networks of the paper: hours on a graphics card"),
 )
+
+
+def _preset_chosen(self: "CHONA_PG_settings", _context: bpy.types.Context) -> None:
+    self.preset_name = self.preset
 
 
 def _first_model_chosen(self: "CHONA_PG_settings", _context: bpy.types.Context) -> None:
@@ -76,8 +75,23 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
     preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Quality",
         description="How exactly and how fast frames are rendered",
-        items=PRESETS,
-        default="preview",
+        items=presets.items,
+        default=presets.DEFAULT,
+        update=_preset_chosen,
+    )
+    preset_name: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Quality",
+        description="Name of the chosen preset: the file of one of your own may be gone when this is opened again",
+        options={"HIDDEN"},
+    )
+    max_error: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Max Error",
+        description="Render pixels again, finer, until their colours (0 to 1) change by no more than this; 0 = off",
+        default=0.0,
+        min=0.0,
+        max=0.5,
+        step=0.1,
+        precision=3,
     )
     use_scene_range: bpy.props.BoolProperty(  # type: ignore[valid-type]
         name="Scene Range",
@@ -201,6 +215,20 @@ class CHONA_PG_settings(bpy.types.PropertyGroup):
         default=10.0,
         min=0.1,
         soft_max=600.0,
+        subtype="UNSIGNED",
+        precision=1,
+    )
+    measure_sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Sequences",
+        description="Names of the sequences to measure on, with commas between; best such that training did not see. "
+        "Empty for all",
+    )
+    measure_minutes: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Time",
+        description="How long to measure, in minutes; longer tries more views and more combinations",
+        default=3.0,
+        min=0.1,
+        soft_max=60.0,
         subtype="UNSIGNED",
         precision=1,
     )

@@ -12,16 +12,19 @@ from . import (
     actor_properties,
     check_store,
     commands,
+    cost_table,
+    estimates,
     live,
     model_cache,
     panels,
     preferences,
+    presets,
     properties,
     strip_view,
     worker,
 )
 from .jobs import board, remember_error
-from .operators import bake, capture, composite, diagnose, preview, rig, train
+from .operators import bake, capture, composite, costs, diagnose, preview, rig, train
 
 CLASSES: tuple[type, ...] = (
     actor_properties.CHONA_PG_object,
@@ -32,6 +35,7 @@ CLASSES: tuple[type, ...] = (
     *check_store.CLASSES,
     *rig.CLASSES,
     *bake.CLASSES,
+    *costs.CLASSES,
     *preview.CLASSES,
     *composite.CLASSES,
     *capture.CLASSES,
@@ -57,6 +61,9 @@ STEPS: tuple[Step, ...] = (
     *(_class_step(cls) for cls in CLASSES),
     Step(properties.register, properties.unregister),
     Step(model_cache.register, model_cache.unregister),
+    Step(presets.register, presets.unregister),
+    Step(cost_table.forget, cost_table.forget),
+    Step(estimates.forget, estimates.forget),
     Step(check_store.register, check_store.unregister),
     Step(strip_view.register, strip_view.unregister),
     Step(live.register, live.unregister),

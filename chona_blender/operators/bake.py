@@ -8,6 +8,21 @@ from .. import actions, jobs
 from ..errors import ChonaError
 
 
+def why_no_bake(scene: bpy.types.Scene) -> str:
+    """Why a bake cannot start at present, or nothing."""
+    settings = scene.chona
+    reasons = (
+        (jobs.running() is not None, "Wait until the running job has ended, or cancel it"),
+        (not settings.model_path, "Choose a model file first"),
+        (
+            settings.armature is None and not any(item.use for item in settings.objects),
+            "Create a rig, or choose an armature, first",
+        ),
+        (scene.camera is None, "The scene has no camera: add one and make it active"),
+    )
+    return next((words for applies, words in reasons if applies), "")
+
+
 class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
     """Render the posed actor to EXR frames in the worker; Blender stays usable meanwhile"""
 
@@ -19,21 +34,10 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        settings = context.scene.chona
-        reasons = (
-            (jobs.running() is not None, "Wait until the running job has ended, or cancel it"),
-            (not settings.model_path, "Choose a model file first"),
-            (
-                settings.armature is None and not any(item.use for item in settings.objects),
-                "Create a rig, or choose an armature, first",
-            ),
-            (context.scene.camera is None, "The scene has no camera: add one and make it active"),
-        )
-        for off, words in reasons:
-            if off:
-                cls.poll_message_set(words)
-                return False
-        return True
+        words = why_no_bake(context.scene)
+        if words:
+            cls.poll_message_set(words)
+        return not words
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         self._scene = context.scene.name
@@ -49,7 +53,7 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
         words = f"{written} frames written"
         if skipped:
             words += f", {skipped} were up to date"
-        words += f" in {self._bake.folder}"
+        words += f" in {self._bake.folder}{actions.error_words(job.result)}"
         scene = bpy.data.scenes.get(self._scene)
         if scene is not None and scene.chona.composite_after:
             try:

@@ -4,10 +4,18 @@ computed and no file is opened.
 
 from __future__ import annotations
 
-from . import bake, composite, learn, model, rig, worker
+from . import bake, composite, costs, learn, model, rig, worker
 from .worker import draw_worker
 
-CLASSES = (*model.CLASSES, *rig.CLASSES, *bake.CLASSES, *composite.CLASSES, *learn.CLASSES, *worker.CLASSES)
+CLASSES = (
+    *model.CLASSES,
+    *rig.CLASSES,
+    *bake.CLASSES,
+    *costs.CLASSES,
+    *composite.CLASSES,
+    *learn.CLASSES,
+    *worker.CLASSES,
+)
 """In the order of the sidebar."""
 
 __all__ = ["CLASSES", "draw_worker"]

@@ -7,6 +7,7 @@ import bpy
 from .. import live
 from ..frames import describe_frames
 from ..live_view import camera_views
+from .costs import draw_costs
 from .sidebar import Sidebar, wrapped
 
 
@@ -21,7 +22,11 @@ class CHONA_PT_bake(Sidebar, bpy.types.Panel):
         column = self.columns()
         column.prop(settings, "name")
         column.prop(settings, "output_folder")
-        column.prop(settings, "preset")
+        row = column.row(align=True)
+        row.prop(settings, "preset")
+        row.operator("chona.refresh_presets", text="", icon="FILE_REFRESH")
+        draw_costs(column, context)
+        column.prop(settings, "max_error")
         column.prop(settings, "use_scene_range")
         if not settings.use_scene_range:
             part = column.column(align=True)

@@ -31,6 +31,9 @@ SECONDS = 2.0
 COUNTED = 12
 """Frames of a shot whose rays are counted."""
 
+COMPILED = 5.0
+"""A first frame that takes so many seconds more than others had kernels compiled: a bake will find them on the disk."""
+
 SMALL = (0.125, 0.25)
 """Sizes at which a preset is timed whose costs the model file does not know."""
 
@@ -163,7 +166,8 @@ def _calibrate(
             start = time.perf_counter()
             write_frame(Path(folder) / f"{number}.exr", layers, FrameHeader("", "", "", "{}", 0.0, 0))
             times.append(time.perf_counter() - start)
-    return _Pace(factor, median(times), max(first - factor * cost.seconds(rays[order[0]]), 0.0))
+    more = max(first - factor * cost.seconds(rays[order[0]]), 0.0)
+    return _Pace(factor, median(times), more if more < COMPILED else 0.0)
 
 
 def _time_small(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> Cost:

@@ -62,7 +62,7 @@ def test_registration_leaves_nothing_behind(python: str) -> None:
 def test_every_operator_and_property_explains_itself(python: str) -> None:
     answer = run_bpy(python, "operation_register.py")
     assert len(answer["operators"]) >= 12
-    always_possible = {"chona.copy_report", "chona.dismiss_error"}
+    always_possible = {"chona.copy_report", "chona.dismiss_error", "chona.refresh_presets"}
     for name, each in answer["operators"].items():
         assert len(each["tooltip"]) > 15, name
         assert each["untold"] == [], name

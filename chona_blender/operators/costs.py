@@ -1,0 +1,126 @@
+"""Estimate a bake, measure a model, show the plot of that, and look for presets again."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import jobs, measuring, model_cache, presets
+from ..errors import ChonaError
+from ..measuring import EstimateJob
+from .bake import why_no_bake
+
+
+class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
+    """Times this computer for two seconds and predicts the bake with each preset"""
+
+    bl_idname = "chona.estimate"
+    bl_label = "Estimate"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        words = why_no_bake(context.scene)
+        if words:
+            cls.poll_message_set(words)
+        return not words
+
+    def start(self, context: bpy.types.Context) -> EstimateJob:
+        self._scene = context.scene.name
+        return measuring.start_estimate(context.scene)
+
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or not isinstance(job, EstimateJob):
+            return "Estimated"
+        lines = measuring.keep_estimate(scene, job)
+        chosen = [line for line in lines if line.startswith(f"{scene.chona.preset}: ")]
+        return (chosen or lines or ["Estimated"])[0]
+
+
+class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
+    """Measure what every preset and setting costs and gives with this model, and keep it in the model's file"""
+
+    bl_idname = "chona.trade"
+    bl_label = "Measure"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        settings = context.scene.chona
+        reasons = (
+            (jobs.running() is not None, "Wait until the running job has ended, or cancel it"),
+            (not settings.model_path, "Choose a model file first"),
+            (not settings.data_folder, "Choose the folder with the captures first"),
+        )
+        words = next((words for applies, words in reasons if applies), "")
+        if words:
+            cls.poll_message_set(words)
+        return not words
+
+    def start(self, context: bpy.types.Context) -> jobs.Job:
+        self._scene = context.scene.name
+        return measuring.start_trade(context.scene)
+
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is not None:
+            model_cache.refresh(scene.chona.model_path)
+        return f"Measured; the plot is {job.result.get('plot', 'beside the model')}"
+
+
+class CHONA_OT_show_trade(bpy.types.Operator):
+    """Show the plot of what was measured of this model, in an image editor"""
+
+    bl_idname = "chona.show_trade"
+    bl_label = "Show Plot"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.chona.model_path:
+            cls.poll_message_set("Choose a model file first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            picture = measuring.trade_picture(context.scene)
+            image = bpy.data.images.load(str(picture), check_existing=True)
+        except (ChonaError, RuntimeError) as error:
+            return jobs.fail(self, ChonaError(str(error)))
+        image.reload()  # measured again since it was shown last
+        if not bpy.app.background:
+            _show(context, image)
+        return {"FINISHED"}
+
+
+def _show(context: bpy.types.Context, image: bpy.types.Image) -> None:
+    """In an image editor that is there, or in a window of its own."""
+    area = next((each for each in context.window.screen.areas if each.type == "IMAGE_EDITOR"), None)
+    window = context.window
+    if area is None:
+        bpy.ops.wm.window_new()
+        window = context.window_manager.windows[-1]
+        area = window.screen.areas[0]
+        area.type = "IMAGE_EDITOR"
+    area.spaces.active.image = image
+    region = next(each for each in area.regions if each.type == "WINDOW")
+    with context.temp_override(window=window, area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)
+
+
+class CHONA_OT_refresh_presets(bpy.types.Operator):
+    """Look again for presets of your own, which chona trade saves"""
+
+    bl_idname = "chona.refresh_presets"
+    bl_label = "Find Presets"
+    bl_options = {"INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        presets.refresh()
+        jobs.redraw_sidebars(context)
+        self.report({"INFO"}, f"Presets: {', '.join(presets.names())}")
+        return {"FINISHED"}
+
+
+CLASSES = (CHONA_OT_estimate, CHONA_OT_trade, CHONA_OT_show_trade, CHONA_OT_refresh_presets)
