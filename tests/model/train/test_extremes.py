@@ -50,7 +50,8 @@ def ends_well(patch, capture: Dataset, out: Path, make, *, lost: bool | None = N
     [
         (RATES, None),
         *[pytest.param((name,), lost, marks=pytest.mark.slow) for name, lost in (
-            ("grid_rate", None), ("mlp_rate", None), ("light_rate", None), ("skin_rate", False), ("offset_rate", False))],
+            ("grid_rate", None), ("mlp_rate", None), ("light_rate", None), ("skin_rate", False),
+            ("offset_rate", False))],
     ],
 )  # fmt: skip
 def test_fast_at_a_hundred_times_the_rates(capture, monkeypatch, tmp_path, rates: tuple[str, ...], lost) -> None:
