@@ -33,6 +33,9 @@ class CHONA_PG_findings(bpy.types.PropertyGroup):
 
 def keep(scene: bpy.types.Scene, report: Report) -> None:
     """Show a report in the list and in the strips."""
+    present = {each.session_uid for each in bpy.data.scenes}
+    for gone in set(_reports) - present:
+        del _reports[gone]
     _reports[scene.session_uid] = report
     shown = bpy.context.window_manager.chona_findings
     shown.rows.clear()
@@ -54,20 +57,13 @@ def finding_at(scene: bpy.types.Scene, index: int) -> Finding | None:
     return report.findings[index] if report is not None and 0 <= index < len(report.findings) else None
 
 
-@bpy.app.handlers.persistent
-def _forget(*_: object) -> None:
-    _reports.clear()
-
-
 def register() -> None:
-    """Give the window manager its list, and forget reports when another file is loaded."""
+    """Give the window manager its list. A file that is loaded brings scenes of other numbers, so no report fits it."""
     bpy.types.WindowManager.chona_findings = bpy.props.PointerProperty(type=CHONA_PG_findings)
-    bpy.app.handlers.load_pre.append(_forget)
 
 
 def unregister() -> None:
-    """Take it all away."""
-    bpy.app.handlers.load_pre.remove(_forget)
+    """Take it away, and forget."""
     _reports.clear()
     del bpy.types.WindowManager.chona_findings
 

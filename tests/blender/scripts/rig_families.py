@@ -5,6 +5,7 @@ Argument: a folder for a library file.
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from math import radians
@@ -241,3 +242,5 @@ answer["giant"] = giant()
 answer["captured"] = captured()
 answer["rigify"] = rigify()
 say(answer)
+sys.stdout.flush()
+os._exit(0)  # with Rigify enabled the bpy module of 4.5 hangs where it would end
