@@ -20,6 +20,11 @@ from .rigid import RigidPose, objects_pose, rigid_pose
 from .sampling import Samples, check_armature
 from .validation import figure_scale, project_rotations
 
+ALIGNED_KEPT = 8
+"""Rest poses whose alignment is kept: the live preview asks thirty times a second."""
+
+_aligned: dict[tuple, Alignment] = {}
+
 
 @dataclass(frozen=True)
 class Driver:
@@ -126,8 +131,13 @@ def make_driver(
         rest = model_rest_pose(armature, first, joints)
         return Driver(armature, mapping, skeleton, tuple(first), rest, None, heads, legs_scale)
     bones = tuple(dict.fromkeys(bone for chain in mapping.bones.values() for bone in chain))
-    alignment = align(mapping, parents, joints, heads)
-    return Driver(armature, mapping, skeleton, bones, None, alignment, heads, legs_scale)
+    lying = (tuple(heads), np.array(list(heads.values())).tobytes())
+    at_rest = (tuple(mapping.bones.items()), tuple(parents), joints.tobytes(), *lying)
+    if at_rest not in _aligned:
+        while len(_aligned) >= ALIGNED_KEPT:
+            _aligned.pop(next(iter(_aligned)))
+        _aligned[at_rest] = align(mapping, parents, joints, heads)
+    return Driver(armature, mapping, skeleton, bones, None, _aligned[at_rest], heads, legs_scale)
 
 
 def is_copy(joints: np.ndarray, heads: np.ndarray) -> bool:

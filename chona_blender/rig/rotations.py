@@ -19,16 +19,17 @@ def swing(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     Identity where either is zero; half a turn about any axis across where they are opposite.
     """
     a, b = np.broadcast_arrays(unit(np.asarray(start, float)), unit(np.asarray(end, float)))
-    axis = np.cross(a, b)
+    axis = (cross_matrix(a) @ b[..., None])[..., 0]
     cosine = (a * b).sum(-1)[..., None, None]
     skew = cross_matrix(axis)
     eye = np.broadcast_to(np.eye(3), skew.shape)
     opposite = cosine < -1.0 + 1e-9
     turned = eye + skew + skew @ skew / np.where(opposite, 1.0, 1.0 + cosine)
-    across = unit(np.cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])))
-    half = 2.0 * across[..., :, None] * across[..., None, :] - eye
     known = ((a * a).sum(-1) > 0.5) & ((b * b).sum(-1) > 0.5)
-    return np.where(known[..., None, None], np.where(opposite, half, turned), eye)
+    if opposite.any():
+        across = unit(np.cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])))
+        turned = np.where(opposite, 2.0 * across[..., :, None] * across[..., None, :] - eye, turned)
+    return np.where(known[..., None, None], turned, eye)
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:

@@ -248,8 +248,9 @@ def start_capture() -> set[str]:
 
 def show_only_closed_panels() -> None:
     """Take away the panels that begin open, to have room for the others."""
-    for cls in module("panels").CLASSES:
-        if cls.__name__ in {"CHONA_PT_rig", "CHONA_PT_bake", "CHONA_PT_composite"}:
+    kept = {"CHONA_PT_main", "CHONA_PT_capture", "CHONA_PT_train", "CHONA_PT_worker"}
+    for cls in reversed(module("panels").CLASSES):  # those that stand inside others first
+        if issubclass(cls, bpy.types.Panel) and cls.__name__ not in kept:
             bpy.utils.unregister_class(cls)
 
 
