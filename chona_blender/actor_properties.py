@@ -68,7 +68,10 @@ def _search_bones(self: "CHONA_PG_bone", _context: bpy.types.Context, text: str)
 
 
 def _get_mapping(self: "CHONA_PG_actor") -> str:
-    whole = {item.name: item.target or item.found.partition(", ")[0] or FOLLOW for item in self.bones}
+    whole = {
+        item.name: item.target or item.found.partition(", ")[0] or (FOLLOW if item.state == FOLLOWS else "")
+        for item in self.bones
+    }
     return json.dumps({name: bone for name, bone in whole.items() if bone})
 
 
