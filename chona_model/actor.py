@@ -63,6 +63,23 @@ def merge(picture: Picture, traced: Picture, pixels: np.ndarray) -> Picture:
     return replace(picture, **channels, rays=rays, failed_share=failed)
 
 
+@dataclass(frozen=True)
+class Samples:
+    """What an actor's rays met: N samples of some pixels' rays.
+
+    Attributes:
+        ray: [N] int64 ``(row · width + column) · side² + sub``: rays of a pixel are consecutive.
+        depth: [N] metres along the camera axis; alpha: [N] opacity of the sample alone, 0…1; rgb: [N, 3] straight.
+        thing: [N] share of the sample that is an object's, 0…1.
+    """
+
+    ray: np.ndarray
+    depth: np.ndarray
+    alpha: np.ndarray
+    rgb: np.ndarray
+    thing: np.ndarray
+
+
 class Actor(Protocol):
     """A trained model: ``grid_actor.GridActor`` (preset fast) or ``exact_actor.ExactActor`` (preset paper)."""
 
@@ -78,6 +95,10 @@ class Actor(Protocol):
         Args:
             pixels: [H, W] bool, those that are traced; the others stay empty. None: all.
         """
+        ...
+
+    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+        """What the rays of ``pixels`` [H, W] bool meet, to be integrated with what other actors' rays meet."""
         ...
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:

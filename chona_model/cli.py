@@ -81,6 +81,8 @@ def _is_house_error(error: Exception) -> bool:
 
 
 def _describe(error: Exception, words: Sequence[str]) -> str:
+    if type(error).__module__.partition(".")[0] == "chona_model":
+        return str(error)  # its own words say all there is to say
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     if isinstance(error, ImportError):
         text += "; 'chona doctor' says what to install"

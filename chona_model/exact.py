@@ -25,7 +25,7 @@ from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, po
 from chona_model.geometry import inverse_3x3
 from chona_model.render.bounds import BODY_REACH, OBJECT_MARGIN
 from chona_model.render.frustum import conical_frusta, cylinders
-from chona_model.render.integration import integrate, ray_weights, visible_confidence
+from chona_model.render.integration import RayWeights, integrate, ray_weights, visible_confidence
 from chona_model.render.rays import empty_result, finite, join, take_rays
 from chona_model.render.sampling import stratified_edges
 from chona_model.settings import ExactSettings
@@ -220,13 +220,8 @@ class ExactModel(nn.Module):
         result = empty_result(rays, sound, settings.samples)
         if len(hit) == 0:
             return result
-        part, edges = take_rays(rays, hit), edges[hit]
-        frusta = cylinders if orthographic else conical_frusta
-        depths, means, covariances = frusta(part.origins, part.directions, part.radii, edges)
-        identity = self.codes(codes[0][hit], codes[1][hit])
-        samples = self._sample(means, covariances, part.pose, poses, identity=identity, settings=settings)
-        lengths = (edges[:, 1:] - edges[:, :-1]) * torch.linalg.vector_norm(part.directions, dim=-1, keepdim=True)
-        light = ray_weights(samples.density, lengths)
+        codes = (codes[0][hit], codes[1][hit])
+        depths, samples, light = self._along(take_rays(rays, hit), edges[hit], poses, codes, settings, orthographic)
         pixels = integrate(light.weights, samples.rgb, depths, samples.shares)
         return RayResult(
             rgb=result.rgb.index_copy(0, hit, pixels.rgb),
@@ -240,6 +235,40 @@ class ExactModel(nn.Module):
             + torch.stack([(~samples.converged).sum(), torch.tensor(samples.converged.numel()).to(hit)]),
             regularisers={},
         )
+
+    def _along(
+        self, rays: RayBatch, edges: Tensor, poses: PoseBatch, codes: tuple[Tensor, Tensor], settings: ExactSettings,
+        orthographic: bool,
+    ) -> tuple[Tensor, _Samples, RayWeights]:  # fmt: skip
+        """Depths [R, S] of rays that hit, their samples, and the light along them."""
+        frusta = cylinders if orthographic else conical_frusta
+        depths, means, covariances = frusta(rays.origins, rays.directions, rays.radii, edges)
+        samples = self._sample(means, covariances, rays.pose, poses, identity=self.codes(*codes), settings=settings)
+        lengths = (edges[:, 1:] - edges[:, :-1]) * torch.linalg.vector_norm(rays.directions, dim=-1, keepdim=True)
+        return depths, samples, ray_weights(samples.density, lengths)
+
+    @torch.no_grad()
+    def sample_rays(
+        self, rays: RayBatch, poses: PoseBatch, persons: Tensor, objects: Tensor, settings: ExactSettings, *,
+        orthographic: bool = False, chunk: int = 1024,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+        """What finite rays that hit meet, to be integrated with what others meet.
+
+        Args:
+            rays, …: as ``render_rays`` takes them.
+
+        Returns:
+            depths [R, S] metres, opacities [R, S], straight colours [R, S, 3] and shares of the person and of objects
+            [R, S, 2].
+        """
+        edges = stratified_edges(rays.near, rays.far, settings.samples, None)
+        parts = []
+        for rows in torch.arange(len(rays.near), device=rays.near.device).split(chunk):
+            part, codes = take_rays(rays, rows), (persons[rows], objects[rows])
+            depths, samples, light = self._along(part, edges[rows], poses, codes, settings, orthographic)
+            parts.append((depths, light.opacity, samples.rgb, samples.shares))
+        depths, opacity, rgb, shares = (torch.cat(column) for column in zip(*parts, strict=True))
+        return depths, opacity, rgb, shares
 
     def _sample(
         self,

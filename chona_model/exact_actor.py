@@ -11,13 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
+from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture
 from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.exact import ExactModel
 from chona_model.exact_shape import ExactShape
 from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, Rig, make_figure, to_pose_batch
 from chona_model.render.bounds import figure_spans
+from chona_model.samples import join
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 from chona_model.tensor_reader import IdentityRows, TensorReader
@@ -107,23 +108,54 @@ class ExactActor:
         rows, columns = np.nonzero(seen if pixels is None else seen & pixels)
         if len(rows) == 0:
             return empty_picture(camera)
-        side = settings.supersampling
         self.model.eval()
-        results = []
-        for sub in range(side**2):
-            shift = (np.array([sub % side, sub // side]) + 0.5) / side
-            rays = make_rays(
-                figure, camera, np.stack([columns, rows], axis=-1) + shift, near[rows, columns], far[rows, columns],
-                next(self.model.parameters()), pose=0, sharpness=side,
+        persons, things = poses.persons.expand(len(rows)), poses.objects.expand(len(rows), -1)
+        flat = camera.kind == ORTHOGRAPHIC
+        spans, side = (near[rows, columns], far[rows, columns]), settings.supersampling
+        results = [
+            self.model.render_rays(
+                self._rays(figure, camera, rows, columns, spans, sub, side), poses, persons, things, settings.exact,
+                orthographic=flat,
+            )
+            for sub in range(side**2)
+        ]  # fmt: skip
+        return _picture(camera, rows, columns, results)
+
+    def _rays(
+        self, figure: Figure, camera: Camera, rows: np.ndarray, columns: np.ndarray,
+        spans: tuple[np.ndarray, np.ndarray], sub: int, side: int,
+    ) -> RayBatch:  # fmt: skip
+        """The ray number ``sub`` of ``side``² through each pixel."""
+        shift = (np.array([sub % side, sub // side]) + 0.5) / side
+        return make_rays(
+            figure, camera, np.stack([columns, rows], axis=-1) + shift, *spans, next(self.model.parameters()), pose=0,
+            sharpness=side,
+        )  # fmt: skip
+
+    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+        """What the rays of ``pixels`` [H, W] bool meet, at the camera's own size."""
+        actor = self._in(settings.precision)
+        figure, rig, poses = actor.figure(pose)
+        near, far = figure_spans(figure, rig, actor.boxes(pose.objects), camera)
+        rows, columns = np.nonzero((far > near) & pixels)
+        actor.model.eval()
+        persons, things = poses.persons.expand(len(rows)), poses.objects.expand(len(rows), -1)
+        spans, side, parts = (near[rows, columns], far[rows, columns]), settings.supersampling, []
+        for sub in range(side**2 if len(rows) else 0):
+            found = actor.model.sample_rays(
+                actor._rays(figure, camera, rows, columns, spans, sub, side), poses, persons, things, settings.exact,
+                orthographic=camera.kind == ORTHOGRAPHIC,
             )  # fmt: skip
-            count = len(rows)
-            persons, things = poses.persons.expand(count), poses.objects.expand(count, -1)
-            results.append(
-                self.model.render_rays(
-                    rays, poses, persons, things, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC
+            depth, alpha, rgb, shares = (array.float().cpu().numpy() for array in found)
+            ray = np.repeat((rows * camera.width + columns) * side**2 + sub, depth.shape[1])
+            held = alpha.ravel() > 0
+            thing = shares[..., 1] / np.maximum(shares.sum(axis=-1), 1e-12)
+            parts.append(
+                Samples(
+                    ray[held], depth.ravel()[held], alpha.ravel()[held], rgb.reshape(-1, 3)[held], thing.ravel()[held]
                 )
             )
-        return _picture(camera, rows, columns, results)
+        return join(parts)
 
     def tensors(self) -> dict[str, Tensor]:
         """Parameters by name."""

@@ -1,4 +1,4 @@
-"""One frame of a shot: its actors' pictures, scene-linear and layered by depth."""
+"""One frame of a shot: its actors in one picture, scene-linear."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from chona_model.camera import Camera
 from chona_model.formats.exr import FrameLayers
 from chona_model.formats.shot import Shot
 from chona_model.passes import ALL_PASSES, Passes
+from chona_model.samples import beside_each_other, composite, over_each_other
 from chona_model.settings import RenderSettings
 
 Matte = np.ndarray | None
@@ -35,17 +36,22 @@ class ShotRenderer:
         """The pixels of the frame at ``index``, seen by the shot's camera or another."""
         camera = camera or self.shot.camera(index)
         near, far = self.shot.clip[index]
-        merged: Layer | None = None
-        for number in range(len(self.shot.actors)):
-            layer = _layer(self._picture(number, index, camera), near, far, self.passes)
-            merged = layer if merged is None else _merge(merged, layer)
-        assert merged is not None  # a shot has an actor
-        combined, depth, human, thing, confidence = merged
+        combined, depth, human, thing, confidence = _layer(self._together(index, camera), near, far, self.passes)
         scaled = None
         if self.passes.depth:
             scale = np.float32(self.shot.world_scale)
             scaled = np.where(depth < EMPTY_DEPTH, depth * scale, np.float32(EMPTY_DEPTH))
         return FrameLayers(combined, scaled, human, thing, confidence)
+
+    def _together(self, index: int, camera: Camera) -> Picture:
+        """All actors in one picture: where several show, their samples are sorted along the rays."""
+        pictures = [self._picture(number, index, camera) for number in range(len(self.shot.actors))]
+        picture = beside_each_other(pictures)
+        both = over_each_other(pictures)
+        if not both.any():
+            return picture
+        samples = [self.actor.sample(member.pose(index), camera, self.settings, both) for member in self.shot.actors]
+        return composite(samples, camera, self.settings.supersampling, picture, both)
 
     def _picture(self, number: int, index: int, camera: Camera) -> Picture:
         pose = self.shot.actors[number].pose(index)
@@ -64,7 +70,7 @@ def render_frame(
     actor: Actor, shot: Shot, index: int, settings: RenderSettings, camera: Camera | None = None,
     passes: Passes = ALL_PASSES,
 ) -> FrameLayers:  # fmt: skip
-    """One frame's pixels, seen by the shot's camera or another: actors are layered by depth, pixel by pixel."""
+    """One frame's pixels, seen by the shot's camera or another; several actors are merged sample by sample."""
     return ShotRenderer(actor, shot, settings, passes).render(index, camera)
 
 
@@ -81,30 +87,6 @@ def _layer(picture: Picture, near: float, far: float, passes: Passes) -> Layer:
         combined, np.where(kept, picture.depth, np.float32(EMPTY_DEPTH)),
         picture.human * kept if passes.mattes else None, picture.object * kept if passes.mattes else None,
         picture.confidence if passes.confidence else None,
-    )  # fmt: skip
-
-
-def _merge(one: Layer, other: Layer) -> Layer:
-    """Two layers, the nearer over the farther in every pixel."""
-    nearer = one[1] <= other[1]
-
-    def parted(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        first = nearer if a.ndim == 2 else nearer[..., None]
-        return np.where(first, a, b), np.where(first, b, a)
-
-    front, back = parted(one[0], other[0])
-    through = 1.0 - front[..., 3]
-
-    def matte(a: Matte, b: Matte) -> Matte:
-        if a is None or b is None:
-            return None
-        before, behind = parted(a, b)
-        return before + through * behind
-
-    confidence = None if one[4] is None or other[4] is None else np.minimum(one[4], other[4])
-    return (
-        front + through[..., None] * back, np.minimum(one[1], other[1]), matte(one[2], other[2]),
-        matte(one[3], other[3]), confidence,
     )  # fmt: skip
 
 

@@ -11,18 +11,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from chona_model.actor import EMPTY_DEPTH, Picture, empty_picture
+from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
 from chona_model.field.grid import GridShape
-from chona_model.grid_device import DevicePose, make_device_pose, render_on_device
+from chona_model.grid_device import DevicePose, make_device_pose, render_on_device, sample_on_device
 from chona_model.grid_inputs import Surfaces, surfaces_for
 from chona_model.grid_model import GridModel, GridModelShape
-from chona_model.grid_view import ReadyPose, View, make_ready, render_view
+from chona_model.grid_view import ReadyPose, View, make_ready, render_view, sample_view
 from chona_model.kernels.grid import fast, make_layout
 from chona_model.render.occupancy import Occupancy, PartCells, make_coarser, whole_support, without_thin
 from chona_model.render.posed import depth_spans, window_of
+from chona_model.samples import join
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 from chona_model.tensor_reader import IdentityRows, TensorReader
@@ -58,6 +59,14 @@ class GridActor:
             KeyError: the pose names an identity the model does not know.
         """
         return render_scaled(self._in(settings.precision)._render, pose, camera, settings, pixels)
+
+    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+        """What the rays of ``pixels`` [H, W] bool meet, at the camera's own size."""
+        actor = self._in(settings.precision)
+        ready = actor.ready(pose, settings)
+        look: Any = sample_view if isinstance(ready, ReadyPose) else sample_on_device
+        window = window_of(ready.part, ready.figure.figure, camera)
+        return join([look(actor.model, ready, camera, settings, band, pixels) for band in window.bands(TILE)])
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
         """How many rays ``render`` would trace, without tracing any."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from chona_model.actor import Samples
 from chona_model.camera import Camera
 from chona_model.grid_inputs import Surfaces
 from chona_model.grid_model import GridModel, PosedFigure
@@ -17,7 +18,8 @@ from chona_model.kernels.cpu.advance import COLUMNS
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex
 from chona_model.render.occupancy import Occupancy, PartCells
 from chona_model.render.posed import PosedPart, Window, depth_spans
-from chona_model.render.tracing import PoseTable, RayRows, TraceSettings, make_pose_table, trace
+from chona_model.render.tracing import PoseTable, RayRows, Traced, TraceSettings, make_pose_table, trace
+from chona_model.samples import densest, join
 from chona_model.settings import RenderSettings
 
 CHUNK = 1 << 18
@@ -52,30 +54,30 @@ def make_device_pose(
     return DevicePose(posed, part, table, matrices, index, pairs, codes, model.root_light([posed]))
 
 
-@torch.inference_mode()
-def render_on_device(
-    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window,
-    pixels: np.ndarray | None = None,
-) -> View:  # fmt: skip
-    """As ``grid_view.render_view``."""
-    near, far = depth_spans(ready.part, ready.figure.figure, camera, window, model.real)
-    seen = far > near
-    if pixels is not None:
-        wanted = pixels[window.top : window.bottom, window.left : window.right]
-        seen &= torch.as_tensor(wanted, device=seen.device)
-    rows, columns = seen.nonzero(as_tuple=True)
-    near, far = near[rows, columns], far[rows, columns]
-    rows, columns = rows + window.top, columns + window.left
-    side, values = settings.supersampling, near.new_zeros(len(near), COLUMNS)
+@dataclass(frozen=True)
+class _Chunk:
+    """Some pixels' rays through one point of each, traced: ``pixels`` [R] places among those looked at."""
+
+    pixels: Tensor
+    sub: int
+    traced: Traced
+
+
+def _trace_all(
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, rows: Tensor, columns: Tensor,
+    spans: tuple[Tensor, Tensor],
+) -> Iterator[_Chunk]:  # fmt: skip
+    """All rays of pixels (rows, columns) [R], chunk by chunk."""
+    near, far = spans
+    side, real = settings.supersampling, near.dtype
     newton = NewtonLimits(settings.newton_steps, settings.tolerance, LONGEST)
     tracing = TraceSettings(settings.step, newton, ACCEPT, trust=0.0, stop=settings.stop)
-    evaluated = 0
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     lens = [model.real(array) for array in ready.figure.figure.rays(camera, corners)]
     for sub in range(side**2):
         u, v = (sub % side + 0.5) / side, (sub // side + 0.5) / side
         for chunk in torch.arange(len(rows), device=rows.device).split(CHUNK):
-            at = torch.stack([columns[chunk] + u, rows[chunk] + v], dim=-1).to(near.dtype)
+            at = torch.stack([columns[chunk] + u, rows[chunk] + v], dim=-1).to(real)
             origins, directions = (a[0] + at @ (a[1:] - a[0]) for a in lens)
             count = len(chunk)
             rays = RayRows(
@@ -83,11 +85,57 @@ def render_on_device(
                 near.new_full((count,), 0.5), torch.zeros(count, dtype=torch.int32, device=near.device),
                 torch.arange(len(ready.pairs), device=near.device).expand(count, -1),
             )  # fmt: skip
-            traced = trace(
-                model, ready.table, ready.matrices, ready.index, rays, ready.pairs, ready.codes, ready.lights, tracing
-            )
-            values[chunk, :6] += traced.out / side**2
-            values[chunk, 6] += traced.failed
-            values[chunk, 7] += traced.tried
-            evaluated += traced.evaluated
+            yield _Chunk(
+                chunk, sub,
+                trace(
+                    model, ready.table, ready.matrices, ready.index, rays, ready.pairs, ready.codes, ready.lights,
+                    tracing,
+                ),
+            )  # fmt: skip
+
+
+def _seen(
+    model: GridModel, ready: DevicePose, camera: Camera, window: Window, pixels: np.ndarray | None
+) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor]]:
+    """Rows and columns [R] of the pixels to look at, and their near and far depths."""
+    near, far = depth_spans(ready.part, ready.figure.figure, camera, window, model.real)
+    seen = far > near
+    if pixels is not None:
+        wanted = pixels[window.top : window.bottom, window.left : window.right]
+        seen &= torch.as_tensor(wanted, device=seen.device)
+    rows, columns = seen.nonzero(as_tuple=True)
+    return rows + window.top, columns + window.left, (near[rows, columns], far[rows, columns])
+
+
+@torch.inference_mode()
+def render_on_device(
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window,
+    pixels: np.ndarray | None = None,
+) -> View:  # fmt: skip
+    """As ``grid_view.render_view``."""
+    rows, columns, spans = _seen(model, ready, camera, window, pixels)
+    values, evaluated = spans[0].new_zeros(len(rows), COLUMNS), 0
+    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans):
+        values[chunk.pixels, :6] += chunk.traced.out / settings.supersampling**2
+        values[chunk.pixels, 6] += chunk.traced.failed
+        values[chunk.pixels, 7] += chunk.traced.tried
+        evaluated += chunk.traced.evaluated
     return View(rows.cpu().numpy(), columns.cpu().numpy(), values.float().cpu().numpy(), evaluated)
+
+
+@torch.inference_mode()
+def sample_on_device(
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window, pixels: np.ndarray
+) -> Samples:
+    """As ``grid_view.sample_view``."""
+    rows, columns, spans = _seen(model, ready, camera, window, pixels)
+    places, parts = rows * camera.width + columns, []
+    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans):
+        found = chunk.traced.found
+        ray = places[chunk.pixels][found.ray] * settings.supersampling**2 + chunk.sub
+        alpha = -torch.expm1(-found.density * settings.step)
+        arrays = (ray, found.depth.float(), alpha.float(), found.rgb.float(), found.thing.float())
+        whole = [array.cpu().numpy() for array in arrays]
+        chosen = densest(whole[0], whole[1], whole[2])
+        parts.append(Samples(*(array[chosen] for array in whole)))
+    return join(parts)

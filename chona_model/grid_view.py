@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from chona_model.actor import Samples
 from chona_model.camera import Camera
 from chona_model.grid_inputs import Surfaces, limits_of, parts_of, starts_of, tables_of, volume_of
 from chona_model.grid_model import GridModel, PosedFigure
@@ -20,6 +21,7 @@ from chona_model.kernels.perceptron import pack
 from chona_model.kernels.threads import in_pieces
 from chona_model.render.occupancy import Occupancy, PartCells
 from chona_model.render.posed import PosedPart, Window, depth_spans
+from chona_model.samples import densest, join
 from chona_model.settings import RenderSettings
 
 cpu: Any = tracing_kernels
@@ -81,6 +83,54 @@ def make_ready(
     return ReadyPose(posed, part, volume, starts_of(part), parts, network)
 
 
+@dataclass(frozen=True)
+class _Aim:
+    """Pixels that are looked at and what their rays are traced with.
+
+    Attributes:
+        places: [P, 2] int32 column and row; near, far: [P] depths; lens, drift: see ``aim``.
+        side: rays a pixel along each axis; slots: rows of the identities' biases; rest: what else the kernel takes.
+    """
+
+    places: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    lens: np.ndarray
+    drift: np.ndarray
+    side: int
+    slots: np.ndarray
+    rest: tuple[Any, ...]
+
+    def rays(self, begin: int, end: int) -> GivenRays:
+        """Rays of the pixels ``begin`` to ``end``."""
+        real, count = np.float32, (end - begin) * self.side**2
+        origin, direction = np.empty((2, count, 3), real)
+        near, far = np.empty((2, count), real)
+        cpu.aim(begin, self.places, self.near, self.far, self.lens, self.drift, self.side, origin, direction, near, far)
+        pair = np.broadcast_to(self.slots, (count, len(self.slots))).copy()
+        return GivenRays(origin, direction, near, far, np.full(count, 0.5, real), pair, 0)
+
+
+def _aim(
+    model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings, window: Window,
+    pixels: np.ndarray | None,
+) -> _Aim:  # fmt: skip
+    near, far = depth_spans(ready.part, ready.figure.figure, camera, window)
+    seen = far > near
+    if pixels is not None:
+        seen &= pixels[window.top : window.bottom, window.left : window.right]
+    where = np.nonzero(seen)
+    places = np.stack([where[1] + window.left, where[0] + window.top], axis=-1).astype(np.int32)
+    origins, directions = ready.figure.figure.rays(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    lens = np.stack([origins[0], directions[0], directions[1] - directions[0], directions[2] - directions[0]])
+    limits = limits_of(settings.step, settings.stop, settings.newton_steps, settings.tolerance, LONGEST, ACCEPT)
+    return _Aim(
+        places, near[where], far[where], lens.astype(np.float32), (origins[1:] - origins[0]).astype(np.float32),
+        settings.supersampling, np.arange(max(len(ready.parts.slot_part), 1)),
+        (ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits),
+    )  # fmt: skip
+
+
 def render_view(
     model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings, window: Window,
     pixels: np.ndarray | None = None,
@@ -90,34 +140,38 @@ def render_view(
     Args:
         pixels: [H, W] bool of the whole image: only these. None: all.
     """
-    real = np.float32
-    near, far = depth_spans(ready.part, ready.figure.figure, camera, window)
-    seen = far > near
-    if pixels is not None:
-        seen &= pixels[window.top : window.bottom, window.left : window.right]
-    where = np.nonzero(seen)
-    near, far, rows, columns = near[where], far[where], where[0] + window.top, where[1] + window.left
-    origins, directions = ready.figure.figure.rays(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-    lens = np.stack([origins[0], directions[0], directions[1] - directions[0], directions[2] - directions[0]])
-    places, lens = np.stack([columns, rows], axis=-1).astype(np.int32), lens.astype(real)
-    drift, side = (origins[1:] - origins[0]).astype(real), settings.supersampling
-    limits = limits_of(settings.step, settings.stop, settings.newton_steps, settings.tolerance, LONGEST, ACCEPT)
-    out = np.empty((len(rows), advance.COLUMNS), dtype=real)
-    rest = (ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits)
-    slots = np.arange(max(len(ready.parts.slot_part), 1))
+    aim = _aim(model, ready, camera, settings, window, pixels)
+    out = np.empty((len(aim.places), advance.COLUMNS), dtype=np.float32)
 
     def look(begin: int, end: int) -> int:
-        count = (end - begin) * side**2
-        origin, direction = np.empty((2, count, 3), real)
-        ray_near, ray_far = np.empty((2, count), real)
-        cpu.aim(begin, places, near, far, lens, drift, side, origin, direction, ray_near, ray_far)
-        pair = np.broadcast_to(slots, (count, len(slots))).copy()
-        rays = GivenRays(origin, direction, ray_near, ray_far, np.full(count, 0.5, real), pair, 0)
-        values = np.empty((count, advance.COLUMNS), real)
-        evaluated = cpu.sample(0, count, False, rays, *rest, values)[0]
-        of_pixels = values.reshape(end - begin, side**2, -1)
+        rays = aim.rays(begin, end)
+        values = np.empty((len(rays.near), advance.COLUMNS), np.float32)
+        evaluated = cpu.sample(0, len(rays.near), False, rays, *aim.rest, values)[0]
+        of_pixels = values.reshape(end - begin, aim.side**2, -1)
         out[begin:end, :6], out[begin:end, 6:] = of_pixels[..., :6].mean(axis=1), of_pixels[..., 6:].sum(axis=1)
         return evaluated
 
-    evaluated = in_pieces(look, len(rows), PIECE)
-    return View(rows, columns, out, sum(evaluated))
+    evaluated = in_pieces(look, len(aim.places), PIECE)
+    return View(aim.places[:, 1], aim.places[:, 0], out, sum(evaluated))
+
+
+def sample_view(
+    model: GridModel, ready: ReadyPose, camera: Camera, settings: RenderSettings, window: Window, pixels: np.ndarray
+) -> Samples:
+    """The samples themselves of some pixels [H, W] bool, to be integrated with those of others."""
+    aim = _aim(model, ready, camera, settings, window, pixels)
+
+    def look(begin: int, end: int) -> Samples:
+        rays = aim.rays(begin, end)
+        values = np.empty((len(rays.near), advance.COLUMNS), np.float32)
+        found = cpu.sample(0, len(rays.near), True, rays, *aim.rest, values)[1]
+        chosen = densest(found.ray, found.depth, found.density)
+        columns, rows = aim.places[begin:end].astype(np.int64).T
+        local, subs = found.ray[chosen].astype(np.int64), aim.side**2
+        pixel = (rows * camera.width + columns)[local // subs]
+        alpha = -np.expm1(-found.density[chosen] * np.float32(settings.step))
+        thing = found.thing[chosen].astype(np.float32)
+        return Samples(pixel * subs + local % subs, found.depth[chosen], alpha, found.rgb[chosen], thing)
+
+    return join(in_pieces(look, len(aim.places), PIECE))
+

@@ -51,7 +51,7 @@ def to_text(description: Mapping[str, Any]) -> str:
         f"objects   {', '.join(objects) or 'none'}",
         f"skeleton  {len(bones)} bones: {', '.join(bones)}",
         *_measured(description["trade"]),
-        *_section("training", description["training"]),
+        *_section("training", {name: value for name, value in description["training"].items() if name != "poses_seen"}),
         *_section("settings", description["settings"]),
     ]
     return "\n".join(lines) + "\n"

@@ -28,7 +28,7 @@ FLOORS = (
     ("grid_inputs", "render.tracing"),
     ("grid_model", "exact"),
     ("render", "exact_shape"),
-    ("upsampling", "adaptive"),
+    ("upsampling", "adaptive", "samples"),
     ("actor", "tensor_reader"),
     ("deform",),
     ("data",),

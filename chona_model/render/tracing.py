@@ -122,15 +122,28 @@ class RayRows:
 
 
 @dataclass(frozen=True)
+class Found:
+    """Samples that were evaluated: ray [M], depth [M] metres, density [M] 1/m, rgb [M, 3], thing [M] bool."""
+
+    ray: Tensor
+    depth: Tensor
+    density: Tensor
+    rgb: Tensor
+    thing: Tensor
+
+
+@dataclass(frozen=True)
 class Traced:
     """Result of tracing R rays.
 
     Attributes:
+        found: the samples.
         out: [R, 6] premultiplied rgb, alpha, Σ w·depth, Σ w over objects.
         failed: [R] body candidates whose root finding failed; tried: [R] all body candidates.
         evaluated: how often the field was.
     """
 
+    found: Found
     out: Tensor
     failed: Tensor
     tried: Tensor
@@ -181,7 +194,8 @@ def trace(
     count = len(rays.near)
     body_ray = found.ray[body].long()
     tried = torch.bincount(body_ray, minlength=count)
-    return Traced(out, torch.bincount(body_ray[failed[body]], minlength=count), tried, len(chosen))
+    found_samples = Found(ray, depth, density, rgb, kind >= 0)
+    return Traced(found_samples, out, torch.bincount(body_ray[failed[body]], minlength=count), tried, len(chosen))
 
 
 def _root_normals(

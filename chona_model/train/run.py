@@ -17,6 +17,7 @@ from chona_model.train.checkpoint import load_checkpoint, save_checkpoint
 from chona_model.train.errors import TrainingError
 from chona_model.train.guard import Guard, GuardSettings, GuardState
 from chona_model.train.log import TrainingLog
+from chona_model.train.pose_summary import poses_seen
 from chona_model.train.repeatable import repeatable
 
 METHODS = ("chona", "no-cil")
@@ -114,7 +115,8 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
     model = out / MODEL
     training = {"steps": loop.done, "seconds": round(loop.spent, 2),
                 "poses": len({(v.sequence, v.frame) for v in dataset.views}), "views": len(dataset.views),
-                "data": run.data_statement, "finished": not progress.cancelled_by_user}  # fmt: skip
+                "data": run.data_statement, "finished": not progress.cancelled_by_user,
+                "poses_seen": poses_seen(dataset)}  # fmt: skip
     save_actor(model, trainer.actor(), run.method, {"preset": run.preset, **settings}, training)
     if progress.cancelled_by_user:
         progress.cancelled(model=str(model), step=loop.done)

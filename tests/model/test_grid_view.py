@@ -39,11 +39,10 @@ def look(actor, view, settings, window: Window | None = None):
 
 
 @pytest.mark.parametrize("changes", [{}, {"offset": False}, {"shading": False}])
-def test_the_kernel_sees_what_the_stages_see(scene, changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernel_sees_what_the_stages_see(scene, changes: dict) -> None:
     """Roots to a micrometre, since the two start their searches in different places."""
     actor, view = scene
-    monkeypatch.setattr(grid_view, "TOLERANCE", 1e-6)
-    settings = replace(RENDER_PRESETS["final"], supersampling=1, newton_steps=12, stop=0.0, **changes)
+    settings = replace(RENDER_PRESETS["final"], supersampling=1, newton_steps=12, stop=0.0, tolerance=1e-6, **changes)
     seen = look(actor, view, settings)
     model, posed = actor.model, actor.model.posed(view.pose)
     table = make_pose_table(model, [posed])
