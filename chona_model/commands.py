@@ -18,6 +18,7 @@ from chona_model.arguments import UsageError, sources_of, writable_file, writabl
 from chona_model.command_line import LATER_METHODS, METHODS
 from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device
 from chona_model.passes import Passes
+from chona_model.presets import find_preset
 from chona_model.progress import Progress
 
 
@@ -49,6 +50,7 @@ def evaluate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     sources_of(arguments.sources)
+    find_preset(arguments.preset)
     read_header(arguments.model)
     report = writable_file(arguments.json, "--json")
     if arguments.save_images is not None:
@@ -73,6 +75,7 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     passes = Passes.of(arguments.passes)
+    find_preset(arguments.preset)  # refused before anything is read
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
     device = resolve_device(arguments.device)
@@ -122,6 +125,7 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
     from chona_model.formats.shot import read_shot
 
+    find_preset(arguments.preset)
     header = read_header(arguments.model)
     if arguments.shot is None and header.trade is None:
         raise UsageError(
