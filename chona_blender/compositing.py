@@ -63,6 +63,11 @@ def add_layer(scene: bpy.types.Scene, folder: Path, name: str) -> CompositeResul
         raise ChonaError(
             f"{frames.path(frames.numbers[0])} has no layer with a Combined pass; expected a frame that CHONA baked"
         )
+    if f"{header.layers[0]}.Depth.Z" not in header.channels:
+        raise ChonaError(
+            f"{name} was baked without the pass 'depth', by which the compositor tells what is in front; bake it again "
+            "with it (--passes combined,depth,mattes,confidence)"
+        )
 
     tree = _tree(scene)
     group = _find_group(tree, name)

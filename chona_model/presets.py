@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -30,6 +31,15 @@ def user_presets() -> list[str]:
     """Names of a user's presets, sorted."""
     folder = presets_folder()
     return sorted(path.stem for path in folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
+
+
+def every_preset() -> dict[str, RenderSettings]:
+    """Settings by name: the program's, then the user's. A file that is no preset is not in the way of the others."""
+    found = dict(RENDER_PRESETS)
+    for name in user_presets():
+        with contextlib.suppress(SettingsError):
+            found[name] = find_preset(name)
+    return found
 
 
 def find_preset(name: str) -> RenderSettings:

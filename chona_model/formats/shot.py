@@ -38,11 +38,12 @@ class _Kind(msgspec.Struct):
     version: int
 
 
-class _ActorHeader(msgspec.Struct, forbid_unknown_fields=True):
+class _ActorHeader(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     name: str
     person: str | None
     objects: list[str]
     bones: list[str]
+    model: str | None = None
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
@@ -183,6 +184,12 @@ def read_shot(source: Path | BinaryIO) -> Shot:
             f"cannot read the shot {path}: {error}; expected a file NAME.shot.npz, export it again"
         ) from error
     header = _header(arrays, path)
+    other = next((actor for actor in header.actors if actor.model is not None), None)
+    if other is not None:
+        raise ShotError(
+            f"{path}: actor '{other.name}' is of another model ({other.model}) than the shot's first; this version "
+            "renders one model a shot: bake the actors of each model apart"
+        )
     try:
         actors = tuple(
             ShotActor(

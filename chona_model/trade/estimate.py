@@ -6,7 +6,6 @@ this computer is; how many rays the shot's frames need, which takes milliseconds
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -21,8 +20,8 @@ from chona_model.actor import Actor
 from chona_model.formats.exr import FrameHeader, FrameLayers, write_frame
 from chona_model.formats.shot import Shot, ShotActor
 from chona_model.frame import render_frame
-from chona_model.presets import find_preset, user_presets
-from chona_model.settings import PRESETS, RenderSettings, SettingsError
+from chona_model.presets import every_preset, find_preset
+from chona_model.settings import RenderSettings
 from chona_model.trade.cost import Cost, fit_cost
 
 SECONDS = 2.0
@@ -91,7 +90,7 @@ def estimate(
         SettingsError: an unknown preset.  KeyError: the shot shows what the model does not know.
     """
     started = time.process_time() if started is None else started  # imports and the model
-    settings = _every_preset() | {preset: find_preset(preset)}
+    settings = every_preset() | {preset: find_preset(preset)}
     names = list(settings)
     known = {} if trade is None else trade["presets"]
     chosen = [indices[place] for place in np.linspace(0, len(indices) - 1, min(COUNTED, len(indices))).astype(int)]
@@ -115,15 +114,6 @@ def estimate(
 
 def _rays(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> int:
     return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for member in shot.actors)
-
-
-def _every_preset() -> dict[str, RenderSettings]:
-    """Settings by name. A file of the user's that is no preset any more is not in the way of the others."""
-    found = {name: find_preset(name) for name in PRESETS}
-    for name in user_presets():
-        with contextlib.suppress(SettingsError):
-            found[name] = find_preset(name)
-    return found
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from chona_model.data.dataset import Dataset, DatasetError, View
 from chona_model.evaluate.run import check_identities, machine
 from chona_model.formats.model_file import file_hash, write_trade
 from chona_model.model_store import load_actor
-from chona_model.presets import check_name, find_preset, save_preset, user_presets
+from chona_model.presets import check_name, every_preset, save_preset
 from chona_model.progress import Progress
-from chona_model.settings import PRESETS, RENDER_PRESETS, RenderSettings, SettingsError
+from chona_model.settings import RENDER_PRESETS, RenderSettings, SettingsError
 from chona_model.trade.choose import choose, descend
 from chona_model.trade.cost import fit_cost
 from chona_model.trade.knobs import BASE, knobs_of
@@ -86,7 +86,7 @@ def measure_trade(model: Path, dataset: Dataset, out: Path, run: TradeRun, progr
         progress.update(round(min(seconds, run.budget), 1), words)
         return seconds
 
-    presets = {name: find_preset(name) for name in [*PRESETS, *user_presets()]}
+    presets = every_preset()
     knobs = knobs_of(actor.kind, run.full)
     settings = presets | {_key(index): knob.applied(RENDER_PRESETS[BASE]) for index, knob in enumerate(knobs)}
     scale = choose_scale(actor, views[0], len(settings), run.budget * KNOBS_SHARE, run.image_scale)

@@ -34,12 +34,13 @@ def row_alpha() -> np.ndarray:
     return alpha
 
 
-def write_frame(path: Path, number: int, distance: float = LAYER_DEPTH) -> None:
+def write_frame(path: Path, number: int, distance: float | None = LAYER_DEPTH) -> None:
     """One frame as docs/file-formats.md has it."""
     alpha = np.repeat(row_alpha()[:, None], WIDTH, axis=1)
     colour = np.concatenate([alpha[..., None] * layer_colour(number), alpha[..., None]], axis=-1)
-    depth = np.where(alpha > 0, distance, EMPTY).astype(np.float32)
-    channels = {"CHONA.Combined": colour.astype(np.float16), "CHONA.Depth.Z": depth}
+    channels = {"CHONA.Combined": colour.astype(np.float16)}
+    if distance is not None:
+        channels["CHONA.Depth.Z"] = np.where(alpha > 0, distance, EMPTY).astype(np.float32)
     for name in ("Human", "Object", "Confidence"):
         channels[f"CHONA.{name}.V"] = alpha.astype(np.float16)
     header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, "chona:preset": "draft"}
@@ -80,6 +81,7 @@ def rendered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         write_frame(frames / f"zero_{number:04d}.exr", number)
     write_frame(frames / "near_0007.exr", 14, distance=4.0)
     write_frame(frames / "old_-0003.exr", 3)
+    write_frame(frames / "flat_0001.exr", 3, distance=None)
     return out, run_bpy(request.param, "operation_composite.py", frames, out)
 
 
@@ -136,3 +138,4 @@ def test_messages(rendered: tuple[Path, dict]) -> None:
     assert "walk" in errors["other 100 frames"] and "bake first" in errors["other 100 frames"]
     assert "there is no folder" in errors["walk 100 nothing"]
     assert "below 0" in errors["old 100 frames"]
+    assert "without the pass 'depth'" in errors["flat 100 frames"]

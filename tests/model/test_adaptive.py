@@ -70,7 +70,7 @@ def test_what_never_settles_is_counted(scene) -> None:
         apart(picture, actor.render(view.pose, view.camera, ladder(PREVIEW)[2])).max()
     )
     same = apart(picture, finest) < 1e-6
-    assert same[finest.alpha > 0].mean() > 0.95, "hardly a pixel should have agreed by chance on the way up"
+    assert same[finest.alpha > 0].mean() > 0.8, "pixels that agreed by chance on the way up should be few"
     assert f"{reached.unsettled} of {reached.pixels} pixels above 1e-07" in reached.sentence()
 
 

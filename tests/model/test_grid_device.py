@@ -18,7 +18,7 @@ from chona_model.settings import RENDER_PRESETS
 
 @pytest.fixture(scope="module", params=[1, 2])
 def scene(request: pytest.FixtureRequest):
-    dataset, trainer = trained(objects=request.param)
+    dataset, trainer = trained(500 if request.param == 1 else 250, objects=request.param)
     return lit(trainer.model), dataset.views[1]
 
 

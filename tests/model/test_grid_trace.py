@@ -25,7 +25,7 @@ class Case:
     """Some hundred rays of two poses, with several identity pairs, and a random loss."""
 
     def __init__(self, objects: int) -> None:
-        dataset, trainer = trained(persons=2, objects=objects)
+        dataset, trainer = trained(200, persons=2, objects=objects)
         self.model, random = lit(trainer.model), np.random.default_rng(1)
         views = [dataset.views[0], dataset.views[-1]]
         self.posed = [self.model.posed(view.pose) for view in views]

@@ -25,7 +25,7 @@ find_root = newton.find_root
 
 @pytest.fixture(scope="module", params=[1, 2])
 def scene(request: pytest.FixtureRequest):
-    dataset, trainer = trained(objects=request.param)
+    dataset, trainer = trained(500 if request.param == 1 else 250, objects=request.param)
     return GridActor(lit(trainer.model)), dataset.views[1]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from chona_model.presets import find_preset, presets_folder, save_preset, user_presets
+from chona_model.presets import every_preset, find_preset, presets_folder, save_preset, user_presets
 from chona_model.settings import PRESETS, RENDER_PRESETS, ExactSettings, InverseSettings, RenderSettings, SettingsError
 
 MINE = replace(
@@ -36,6 +36,12 @@ def test_a_preset_comes_back_as_it_was_saved(folder: Path, tmp_path: Path) -> No
     assert user_presets() == ["hair test 2"]
     elsewhere = save_preset("mine", MINE, tmp_path / "elsewhere.json")
     assert find_preset(str(elsewhere)).preset == "mine"
+
+
+def test_one_bad_file_does_not_hide_the_others(folder: Path) -> None:
+    save_preset("mine", MINE)
+    (folder / "broken.json").write_text("{")
+    assert list(every_preset()) == [*PRESETS, "mine"]
 
 
 def test_what_is_not_there_names_what_is() -> None:

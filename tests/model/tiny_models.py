@@ -32,9 +32,13 @@ def tiny_trainer(dataset: Dataset, seed: int = 0, method: str = "chona") -> Grid
     return GridTrainer(dataset, SETTINGS, seed, method=method, shape=SHAPE)
 
 
-@cache
 def trained(steps: int = 500, persons: int = 1, objects: int = 1) -> tuple[Dataset, GridTrainer]:
-    """A capture and a trainer after some steps."""
+    """A capture and a trainer after some steps; the same for the same arguments, so leave it as it is."""
+    return _trained(steps, persons, objects)
+
+
+@cache
+def _trained(steps: int, persons: int, objects: int) -> tuple[Dataset, GridTrainer]:
     dataset = tiny_capture(Path(mkdtemp()), persons=persons, objects=objects, frames=3, cameras=4, size=(64, 48))
     trainer = tiny_trainer(dataset)
     for index in range(steps):

@@ -34,7 +34,13 @@ for film_transparent in (False, True):
 
 scene = empty_scene()
 scene.render.resolution_percentage = 50
-wrong = (("walk", frames, 50), ("other", frames, 100), ("walk", frames / "nothing", 100), ("old", frames, 100))
+wrong = (
+    ("walk", frames, 50),
+    ("other", frames, 100),
+    ("walk", frames / "nothing", 100),
+    ("old", frames, 100),
+    ("flat", frames, 100),
+)
 for name, folder, percentage in wrong:
     scene.render.resolution_percentage = percentage
     try:

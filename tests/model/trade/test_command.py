@@ -24,7 +24,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trade")
     write_capture(folder / "capture")
     write_tiny_shot(folder / SHOT, folder / "capture")
-    done = chona("train", "--data", "capture", "--out", "run", "--steps", "40", cwd=folder)
+    done = chona("train", "--data", "capture", "--out", "run", "--steps", "32", cwd=folder)
     assert done.returncode == 0, done.stderr
     shutil.copy(folder / MODEL, folder / "unmeasured.safetensors")
     done = chona("bake", "--model", MODEL, "--shot", SHOT, "--out", "frames", "--preset", "draft", cwd=folder)
@@ -35,12 +35,12 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def measured(work: Path) -> dict:
     done = chona(
-        "trade", "--model", MODEL, "--data", "capture", "--out", "trade", "--minutes", "0.15", "--seconds-per-frame",
+        "trade", "--model", MODEL, "--data", "capture", "--out", "trade", "--minutes", "0.05", "--seconds-per-frame",
         "10", "--save-preset", "mine", "--progress", "json", cwd=work, CHONA_PRESETS=str(work / "presets"),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     start, *between, end = events_of(done.stdout)
-    assert (start["event"], start["job"], start["total"]) == ("start", "trade", 9.0)
+    assert (start["event"], start["job"], start["total"]) == ("start", "trade", 3.0)
     assert between and (end["event"], end["json"]) == ("result", str(Path("trade/trade.json")))
     return json.loads((work / "trade" / "trade.json").read_text())
 

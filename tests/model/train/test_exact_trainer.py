@@ -19,7 +19,7 @@ from chona_model.settings import RENDER_PRESETS, ExactSettings, InverseSettings
 from chona_model.train.exact_trainer import ExactTrainer, PaperSettings, make_shape
 from chona_model.train.objects import object_distance
 
-FEW = ExactSettings(samples=16, inverse=InverseSettings(starts=2, steps=8, tolerance=1e-4))
+FEW = ExactSettings(samples=16, inverse=InverseSettings(starts=2, steps=8, tolerance=1e-4, predict=0.05), bounded=True)
 SETTINGS = PaperSettings(rays=96, first_rate=2e-3, last_rate=5e-4, exact=FEW, chunk=64, initial_steps=60)
 RENDER = replace(RENDER_PRESETS["draft"], resolution=1.0, exact=FEW)
 
