@@ -59,7 +59,7 @@ class ExactModel(nn.Module):
         self.register_buffer("object_boxes", boxes, persistent=False)
         corners = torch.tensor([shape.lower, shape.upper], dtype=torch.float64)
         self.register_buffer("corners", corners, persistent=False)
-        self._predicted: tuple[PoseBatch, list[int], float, Prediction] | None = None
+        self._predicted: tuple[PoseBatch, tuple[list[int], float, bool], Prediction] | None = None
 
     def canonical_boxes(self, poses: PoseBatch) -> Tensor:
         """[P, N, 2, 3] corners of every slot's object in canonical space; points where the model has no boxes."""
@@ -109,7 +109,9 @@ class ExactModel(nn.Module):
         prediction = None
         if settings.inverse.predict > 0:
             may_hold = partial(self.within_canonical_reach, poses=poses, margin=PREDICTION_MARGIN)
-            prediction = self._prediction(poses, settings.inverse.predict)
+            # What decides where roots lie has to have the offset; what only leads to them is quicker without.
+            moved = settings.roots == "grid" and settings.offset
+            prediction = self._prediction(poses, settings.inverse.predict, moved)
             led = prediction.lead(targets, starts, usable, index, may_hold if settings.bounded else None)
             starts, usable, empty = led.starts, led.follow, led.empty
 
@@ -124,13 +126,15 @@ class ExactModel(nn.Module):
             roots = look_between(warp, targets, starts, usable, roots, size=size, settings=inverse)
         return replace(roots, empty=empty)
 
-    def _prediction(self, poses: PoseBatch, cell: float) -> Prediction:
+    def _prediction(self, poses: PoseBatch, cell: float, offset: bool) -> Prediction:
         """The grid that leads starts, kept while the poses and the skinning are the same."""
-        versions = [parameter._version for parameter in self.deform.skinning.parameters()]
-        if self._predicted is None or self._predicted[0] is not poses or self._predicted[1:3] != (versions, cell):
+        learned = self.deform if offset else self.deform.skinning
+        versions = [parameter._version for parameter in learned.parameters()]
+        state = (versions, cell, offset)
+        if self._predicted is None or self._predicted[0] is not poses or self._predicted[1] != state:
             lower, upper = self.get_buffer("corners").to(poses.transforms)
-            self._predicted = (poses, versions, cell, predict(self.deform, poses, lower, upper, cell))
-        return self._predicted[3]
+            self._predicted = (poses, state, predict(self.deform, poses, lower, upper, cell, offset))
+        return self._predicted[2]
 
     def within_reach(self, points: Tensor, poses: PoseBatch, index: Tensor) -> Tensor:
         """[M] bool: near enough to a bone or an object for anything to be there; what bounds rays, sample by sample."""

@@ -76,7 +76,7 @@ class ExactSettings:
         shading: whether the pose-dependent ambient occlusion is applied.
         bounded: whether samples out of reach of every bone and object are empty, as what bounds the rays has it.
         roots: what decides where a root lies: ``network``, the skinning perceptron with its offset, or ``grid``, the
-            perceptron's weights read off ``inverse.predict`` metres apart, without the offset.
+            perceptron's weights and the offset read off ``inverse.predict`` metres apart.
         field_precision: of the field's perceptrons: the model's ``own``, or ``bfloat16``.
 
     Raises:

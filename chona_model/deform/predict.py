@@ -90,8 +90,14 @@ class Prediction:
 
 
 @torch.no_grad()
-def predict(deform: ForwardSkinning, poses: PoseBatch, lower: Tensor, upper: Tensor, cell: float) -> Prediction:
-    """Reads the skinning off at nodes ``cell`` metres apart between the corners ``lower`` and ``upper`` [3]."""
+def predict(
+    deform: ForwardSkinning, poses: PoseBatch, lower: Tensor, upper: Tensor, cell: float, offset: bool = False
+) -> Prediction:
+    """Reads the skinning off at nodes ``cell`` metres apart between the corners ``lower`` and ``upper`` [3].
+
+    Args:
+        offset: whether F_Δ is read off too, a node's translation; leading starts does without it.
+    """
     dims = np.ceil(((upper - lower) / cell).cpu().numpy()).astype(np.int64) + 1
     axes = [lower[k] + cell * torch.arange(int(dims[k]), device=lower.device, dtype=lower.dtype) for k in range(3)]
     z, y, x = torch.meshgrid(axes[2], axes[1], axes[0], indexing="ij")  # x fastest
@@ -101,7 +107,11 @@ def predict(deform: ForwardSkinning, poses: PoseBatch, lower: Tensor, upper: Ten
     for pose in range(len(poses.transforms)):
         weights = softmax_weights(logits, poses.present[pose : pose + 1])
         first = torch.zeros(1, dtype=torch.int64, device=nodes.device)
-        matrices.append(blend(weights, poses.transforms[pose : pose + 1], first).flatten(1))
+        blended = blend(weights, poses.transforms[pose : pose + 1], first)
+        if offset:
+            code = poses.codes[pose : pose + 1]
+            blended[..., 3] += torch.cat([deform.offset(rows, code) for rows in nodes.split(ROWS)])
+        matrices.append(blended.flatten(1))
     count, size = len(nodes), len(matrices)
     index = VolumeIndex(
         nodes=np.arange(count, dtype=np.int32), first_node=np.zeros(size, np.int64), dims=np.stack([dims] * size),
