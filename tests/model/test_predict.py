@@ -79,15 +79,15 @@ def test_pictures_with_led_starts_are_those_without(model) -> None:
 
 def test_the_grid_follows_the_weights_and_the_poses(model) -> None:
     poses = pose_batch(random_figure(0.8, 1), dtype=torch.float32)
-    first = model._prediction(poses, 0.1)
-    assert model._prediction(poses, 0.1) is first
-    assert model._prediction(poses, 0.2) is not first
-    second = model._prediction(poses, 0.1)
+    first = model._prediction(poses, 0.1, False)
+    assert model._prediction(poses, 0.1, False) is first
+    assert model._prediction(poses, 0.2, False) is not first
+    second = model._prediction(poses, 0.1, False)
     with torch.no_grad():
         next(model.deform.skinning.parameters()).mul_(1.0)
-    assert model._prediction(poses, 0.1) is not second
+    assert model._prediction(poses, 0.1, False) is not second
     other = pose_batch(random_figure(0.8, 2), dtype=torch.float32)
-    assert not torch.equal(model._prediction(other, 0.1).matrices, second.matrices)
+    assert not torch.equal(model._prediction(other, 0.1, False).matrices, second.matrices)
 
 
 def test_nothing_is_seen_out_of_reach(model) -> None:
