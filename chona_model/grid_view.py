@@ -174,4 +174,3 @@ def sample_view(
         return Samples(pixel * subs + local % subs, found.depth[chosen], alpha, found.rgb[chosen], thing)
 
     return join(in_pieces(look, len(aim.places), PIECE))
-

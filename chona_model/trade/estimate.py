@@ -33,6 +33,9 @@ COUNTED = 12
 COMPILED = 5.0
 """A first frame that takes so many seconds more than others had kernels compiled: a bake will find them on the disk."""
 
+LEAVING = 0.2
+"""What the end of a process takes of its start: torch's and LLVM's modules are taken down again (0.9 s after 4.3)."""
+
 SMALL = (0.125, 0.25)
 """Sizes at which a preset is timed whose costs the model file does not know."""
 
@@ -61,7 +64,8 @@ class ShotEstimate:
         presets: by name; frames: how many the bake has.
         factor: how many times as long this computer takes as the one the model was measured on; None where nobody
             measured.
-        start_seconds: until a worker renders frames at its usual pace; write_seconds: of writing a frame.
+        start_seconds: until a worker renders frames at its usual pace, and from its last frame to its end.
+        write_seconds: of writing a frame.
     """
 
     presets: dict[str, Estimate]
@@ -102,7 +106,7 @@ def estimate(
     }
     counted = {name: [_rays(actor, shot, index, settings[name]) for index in chosen] for name in names}
     pace = _calibrate(actor, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
-    factor, write, started = pace.factor, pace.write, started + pace.first
+    factor, write, started = pace.factor, pace.write, (started + pace.first) * (1.0 + LEAVING)
     presets = {}
     for name in names:
         frame = factor * fmean(costs[name].seconds(rays) for rays in counted[name]) + write
