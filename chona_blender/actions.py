@@ -145,8 +145,8 @@ def actor_plans(scene: bpy.types.Scene) -> list[ActorPlan]:
 
 
 def actor_plan(actor: CHONA_PG_actor) -> ActorPlan:
-    """What one actor's settings ask for."""
-    header = model_cache.load(actor.model_path)
+    """What one actor's settings ask for; refused where something is missing."""
+    plan = plan_as_set(actor)
     if actor.person and actor.armature is None:
         raise ChonaError(f"no armature poses {actor.person}; press Create Rig, or choose an armature under Rig")
     objects = list(actor.used_objects())
@@ -157,7 +157,13 @@ def actor_plan(actor: CHONA_PG_actor) -> ActorPlan:
             raise ChonaError(
                 f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
             )
-    empties = {item.name: item.empty for item in objects}
+    return plan
+
+
+def plan_as_set(actor: CHONA_PG_actor) -> ActorPlan:
+    """What one actor's settings ask for, also where something is missing."""
+    header = model_cache.load(actor.model_path)
+    empties = {item.name: item.empty for item in actor.used_objects()}
     person, legs = actor.person or None, actor.root_path == "LEGS"
     return ActorPlan(header, person, actor.armature, empties, actor.chosen_bones(), legs, actor.name)
 

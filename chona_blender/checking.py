@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import check_store, model_cache, strip_view
+from . import actions, check_store, strip_view
 from .errors import ChonaError
 from .rig.cast import ActorPlan
 from .rig.check import Report, check
@@ -16,13 +16,7 @@ def plans_to_check(scene: bpy.types.Scene) -> list[ActorPlan]:
     Raises:
         ChonaError: there is none, or a model that cannot be read.
     """
-    plans = []
-    for actor in scene.chona.used_actors():
-        objects = {item.name: item.empty for item in actor.used_objects()}
-        legs, header = actor.root_path == "LEGS", model_cache.load(actor.model_path)
-        plans.append(
-            ActorPlan(header, actor.person or None, actor.armature, objects, actor.chosen_bones(), legs, actor.name)
-        )
+    plans = [actions.plan_as_set(actor) for actor in scene.chona.used_actors()]
     if not plans:
         raise ChonaError("there is no actor to check; choose a model file, and switch an actor on")
     return plans

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,19 @@ from chona_model.upsampling import render_scaled
 
 CONE = 2.0 / 12.0**0.5
 """mip-NeRF's base radius, in pixel widths: a disc with the variance of the square pixel."""
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """Pixels of a view whose rays meet the figure: rows, columns, near and far depths [R]; and what the model takes:
+    the pose, persons [R] and objects [R, N]."""
+
+    figure: Figure
+    rows: np.ndarray
+    columns: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    shown: tuple[PoseBatch, Tensor, Tensor]
 
 
 class ExactActor:
@@ -102,52 +115,27 @@ class ExactActor:
         return self._double
 
     def _render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
-        figure, rig, poses = self.figure(pose)
-        near, far = figure_spans(figure, rig, self.boxes(pose.objects), camera)
-        seen = far > near
-        rows, columns = np.nonzero(seen if pixels is None else seen & pixels)
-        if len(rows) == 0:
+        aim = self._aim(pose, camera, pixels)
+        if len(aim.rows) == 0:
             return empty_picture(camera)
-        self.model.eval()
-        persons, things = poses.persons.expand(len(rows)), poses.objects.expand(len(rows), -1)
-        flat = camera.kind == ORTHOGRAPHIC
-        spans, side = (near[rows, columns], far[rows, columns]), settings.supersampling
         results = [
-            self.model.render_rays(
-                self._rays(figure, camera, rows, columns, spans, sub, side), poses, persons, things, settings.exact,
-                orthographic=flat,
-            )
-            for sub in range(side**2)
-        ]  # fmt: skip
-        return _picture(camera, rows, columns, results)
-
-    def _rays(
-        self, figure: Figure, camera: Camera, rows: np.ndarray, columns: np.ndarray,
-        spans: tuple[np.ndarray, np.ndarray], sub: int, side: int,
-    ) -> RayBatch:  # fmt: skip
-        """The ray number ``sub`` of ``side``² through each pixel."""
-        shift = (np.array([sub % side, sub // side]) + 0.5) / side
-        return make_rays(
-            figure, camera, np.stack([columns, rows], axis=-1) + shift, *spans, next(self.model.parameters()), pose=0,
-            sharpness=side,
-        )  # fmt: skip
+            self.model.render_rays(rays, *aim.shown, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC)
+            for rays in self._rays(aim, camera, settings.supersampling)
+        ]
+        return _picture(camera, aim.rows, aim.columns, results)
 
     def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
         """What the rays of ``pixels`` [H, W] bool meet, at the camera's own size."""
         actor = self._in(settings.precision)
-        figure, rig, poses = actor.figure(pose)
-        near, far = figure_spans(figure, rig, actor.boxes(pose.objects), camera)
-        rows, columns = np.nonzero((far > near) & pixels)
-        actor.model.eval()
-        persons, things = poses.persons.expand(len(rows)), poses.objects.expand(len(rows), -1)
-        spans, side, parts = (near[rows, columns], far[rows, columns]), settings.supersampling, []
-        for sub in range(side**2 if len(rows) else 0):
+        aim, side, parts = actor._aim(pose, camera, pixels), settings.supersampling, []
+        if len(aim.rows) == 0:
+            return join([])
+        for sub, rays in enumerate(actor._rays(aim, camera, side)):
             found = actor.model.sample_rays(
-                actor._rays(figure, camera, rows, columns, spans, sub, side), poses, persons, things, settings.exact,
-                orthographic=camera.kind == ORTHOGRAPHIC,
+                rays, *aim.shown, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC
             )  # fmt: skip
             depth, alpha, rgb, shares = (array.float().cpu().numpy() for array in found)
-            ray = np.repeat((rows * camera.width + columns) * side**2 + sub, depth.shape[1])
+            ray = np.repeat((aim.rows * camera.width + aim.columns) * side**2 + sub, depth.shape[1])
             held = alpha.ravel() > 0
             thing = shares[..., 1] / np.maximum(shares.sum(axis=-1), 1e-12)
             parts.append(
@@ -156,6 +144,23 @@ class ExactActor:
                 )
             )
         return join(parts)
+
+    def _aim(self, pose: Pose, camera: Camera, pixels: np.ndarray | None) -> _Aim:
+        """The pixels (some of ``pixels`` [H, W] bool, None for all) whose rays meet the figure's bounds."""
+        figure, rig, poses = self.figure(pose)
+        near, far = figure_spans(figure, rig, self.boxes(pose.objects), camera)
+        seen = far > near
+        rows, columns = np.nonzero(seen if pixels is None else seen & pixels)
+        self.model.eval()
+        shown = (poses, poses.persons.expand(len(rows)), poses.objects.expand(len(rows), -1))
+        return _Aim(figure, rows, columns, near[rows, columns], far[rows, columns], shown)
+
+    def _rays(self, aim: _Aim, camera: Camera, side: int) -> Iterator[RayBatch]:
+        """The rays through all pixels, once for each of ``side``² points of a pixel."""
+        places, like = np.stack([aim.columns, aim.rows], axis=-1), next(self.model.parameters())
+        for sub in range(side**2):
+            shift = (np.array([sub % side, sub // side]) + 0.5) / side
+            yield make_rays(aim.figure, camera, places + shift, aim.near, aim.far, like, pose=0, sharpness=side)
 
     def tensors(self) -> dict[str, Tensor]:
         """Parameters by name."""

@@ -10,7 +10,7 @@ from bpy.types import Object
 from .cast import Cast
 from .findings import ERROR, WARNING, Finding, frame_words
 from .sampling import Samples
-from .validation import STRETCH_LIMIT, figure_scale
+from .validation import STRETCH_LIMIT, figure_scale, stretches
 
 WORTH_TELLING = 0.01
 """Scale and shear below a hundredth are not seen."""
@@ -51,13 +51,10 @@ def _linear(
     label: str, item: str, bones: Sequence[str], linear: np.ndarray, frames: np.ndarray, refused: float
 ) -> Iterator[Finding]:
     """One finding a bone (or an object, with an empty name): the gravest."""
-    finite = np.isfinite(linear).all(axis=(-1, -2))
-    safe = np.where(finite[..., None, None], linear, np.eye(3))
-    stretch = np.linalg.svd(safe, compute_uv=False)
+    seen = stretches(linear)
+    stretch, finite, flat, mirrored = seen.values, seen.finite, seen.flat, seen.mirrored
     size = stretch.mean(axis=-1)
-    flat = stretch[..., 2] <= 1e-6 * np.maximum(stretch[..., 0], 1e-6)
     shear = np.where(flat, 0.0, stretch[..., 0] / np.maximum(stretch[..., 2], 1e-12) - 1.0)
-    mirrored = np.linalg.det(safe) < 0
     for index, bone in enumerate(bones):
         name = f"'{bone or item}'"
 

@@ -42,6 +42,30 @@ class Dropped:
         return f"'{self.name}' in frame {self.frame}: scale {self.scale:.3f}, shear {100 * self.shear:.1f} %"
 
 
+@dataclass(frozen=True)
+class Stretches:
+    """Linear maps [F, J, 3, 3] looked at: what is wrong with which.
+
+    Attributes:
+        values: [F, J, 3] stretches, the largest first; 1 where a map is not finite.
+        finite, flat, mirrored: [F, J] bool; flat maps have no extent along an axis.
+    """
+
+    values: np.ndarray
+    finite: np.ndarray
+    flat: np.ndarray
+    mirrored: np.ndarray
+
+
+def stretches(linear: np.ndarray) -> Stretches:
+    """The stretches of linear maps [F, J, 3, 3]."""
+    finite = np.isfinite(linear).all(axis=(-1, -2))
+    safe = np.where(finite[..., None, None], linear, np.eye(3))
+    values = np.linalg.svd(safe, compute_uv=False)
+    flat = values[..., 2] <= _SINGULAR * np.maximum(values[..., 0], _SINGULAR)
+    return Stretches(values, finite, flat, np.linalg.det(safe) < 0)
+
+
 def check_matrices(linear: np.ndarray, kind: str, names: Sequence[str], frames: Sequence[int]) -> None:
     """Refuses what has no nearest rotation.
 
@@ -52,14 +76,11 @@ def check_matrices(linear: np.ndarray, kind: str, names: Sequence[str], frames: 
     Raises:
         ChonaError: a value that is not finite, a zero scale or a mirrored axis, by name and frame.
     """
-    finite = np.isfinite(linear).all(axis=(-1, -2))
-    safe = np.where(finite[..., None, None], linear, np.eye(3))
-    stretch = np.linalg.svd(safe, compute_uv=False)
-    flat = stretch[..., 2] <= _SINGULAR * np.maximum(stretch[..., 0], _SINGULAR)
+    seen = stretches(linear)
     problems = (
-        (~finite, "has a value that is not finite", "check its constraints and drivers"),
-        (flat, "has zero scale along an axis", "give it a scale above zero"),
-        (np.linalg.det(safe) < 0, "is mirrored (a negative scale)", "apply or remove the negative scale"),
+        (~seen.finite, "has a value that is not finite", "check its constraints and drivers"),
+        (seen.flat, "has zero scale along an axis", "give it a scale above zero"),
+        (seen.mirrored, "is mirrored (a negative scale)", "apply or remove the negative scale"),
     )
     for found, what, remedy in problems:
         if found.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,12 @@ def score(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray) -> Score
     if box is None:
         return Scores(*whole, None, None)
     return Scores(*whole, psnr(prediction[box], target[box]), ssim(prediction[box], target[box]))
+
+
+def mean_of_known(values: Sequence[float | None]) -> float | None:
+    """The mean of the values there are; None where there is none."""
+    present = [value for value in values if value is not None]
+    return float(np.mean(present)) if present else None
 
 
 def _check(prediction: np.ndarray, target: np.ndarray) -> None:

@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 
 from chona_model.data.dataset import Dataset, DatasetError, load_pixels
-from chona_model.evaluate.metrics import score
+from chona_model.evaluate.metrics import mean_of_known, score
 from chona_model.formats.atomic import atomic_path, write_bytes
 from chona_model.formats.model_file import file_hash, read_header
 from chona_model.model_store import load_actor
@@ -75,7 +75,7 @@ def evaluate(
             _save(save_images / f"{view.label}_PREDICTION.png", prediction)
             _save(save_images / f"{view.label}_TARGET.png", pixels.rgb)
         progress.update(number, view.label, psnr=images[-1]["psnr"])
-    mean = {name: _mean([image[name] for image in images]) for name in METRICS}
+    mean = {name: mean_of_known([image[name] for image in images]) for name in METRICS}
     report: dict[str, Any] = {
         "mean": mean,
         "images": images,
@@ -89,7 +89,8 @@ def evaluate(
     return report
 
 
-def check_identities(dataset: Dataset, persons: Any, objects: Any) -> None:
+def check_identities(dataset: Dataset, persons: Collection[str], objects: Collection[str]) -> None:
+    """``DatasetError`` where a dataset shows a person or an object that a model, which has these, does not know."""
     for kind, used, known in (("person", dataset.persons, persons), ("object", dataset.objects, objects)):
         unknown = sorted(set(used) - set(known))
         if unknown:
@@ -97,11 +98,6 @@ def check_identities(dataset: Dataset, persons: Any, objects: Any) -> None:
                 f"the model has no {kind} '{unknown[0]}'; it knows {', '.join(known) or 'none'}: choose sequences with "
                 "these, or train with that one"
             )
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    present = [value for value in values if value is not None]
-    return float(np.mean(present)) if present else None
 
 
 def _save(path: Path, image: np.ndarray) -> None:

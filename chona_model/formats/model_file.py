@@ -71,6 +71,11 @@ def read_metadata(path: Path) -> dict[str, str]:
     Raises:
         ModelFileError: missing, no safetensors file, or cut off.
     """
+    return _read_json(path)[0].get("__metadata__", {})
+
+
+def _read_json(path: Path) -> tuple[dict[str, Any], int]:
+    """The JSON of a safetensors file, and the byte at which its tensors begin; raises as ``read_metadata``."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -90,11 +95,12 @@ def read_metadata(path: Path) -> dict[str, str]:
         raise ModelFileError(
             f"cannot read {path}: {error}; expected a model.safetensors that 'chona train' wrote"
         ) from error
-    metadata = header.get("__metadata__", {}) if isinstance(header, dict) else {}
+    if not isinstance(header, dict):
+        return {}, 8 + length
     end = max((entry["data_offsets"][1] for name, entry in header.items() if name != "__metadata__"), default=0)
     if size < 8 + length + end:
         raise ModelFileError(f"{path} is cut off: {size} bytes of {8 + length + end}; copy it again")
-    return metadata
+    return header, 8 + length
 
 
 def read_header(path: Path) -> ModelHeader:
@@ -133,10 +139,11 @@ def file_hash(path: Path) -> str:
     Raises:
         ModelFileError: see ``read_metadata``.
     """
-    metadata = read_metadata(path)
+    header, data = _read_json(path)
+    metadata = header.get("__metadata__", {})
+    header["__metadata__"] = {name: text for name, text in metadata.items() if name != TRADE}
     with path.open("rb") as file:
-        header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
-        header["__metadata__"] = {name: text for name, text in metadata.items() if name != TRADE}
+        file.seek(data)
         digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
         while block := file.read(BLOCK):
             digest.update(block)
@@ -149,11 +156,11 @@ def write_trade(path: Path, trade: Mapping[str, Any]) -> None:
     Raises:
         ModelFileError: see ``read_metadata``.  OSError: the file or its folder cannot be written to.
     """
-    metadata = read_metadata(path)
+    header, data = _read_json(path)
+    header["__metadata__"] = header.get("__metadata__", {}) | {TRADE: json.dumps(trade)}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors begin at multiples of eight bytes
     with path.open("rb") as file, atomic_path(path) as temporary, temporary.open("wb") as new:
-        header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
-        header["__metadata__"] = metadata | {TRADE: json.dumps(trade)}
-        text = json.dumps(header, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 8)  # tensors begin at multiples of eight bytes
+        file.seek(data)
         new.write(struct.pack("<Q", len(text)) + text)
         shutil.copyfileobj(file, new, BLOCK)

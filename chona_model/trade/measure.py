@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from chona_model.actor import Actor, Picture
 from chona_model.data.dataset import View, load_pixels
-from chona_model.evaluate.metrics import psnr, ssim
+from chona_model.evaluate.metrics import mean_of_known, psnr, ssim
 from chona_model.settings import RENDER_PRESETS, RenderSettings
 from chona_model.trade.cost import Cost, fit_cost
 from chona_model.trade.memory import PeakMemory
@@ -169,7 +169,7 @@ def combine(settings: RenderSettings, samples: Sequence[Sample], more: Sequence[
     seconds, rays = median(sample.seconds for sample in samples), fmean(sample.full_rays for sample in samples)
     same_size = all(sample.rays >= sample.full_rays for sample in samples)
     averaged = {
-        name: _mean([getattr(sample, name) for sample in samples])
+        name: mean_of_known([getattr(sample, name) for sample in samples])
         for name in ("psnr", "ssim", "lpips", "error", "error_alpha", "error_depth", "failed_share", "failed")
     }
     peaks = [sample.megabytes for sample in samples if sample.megabytes is not None]
@@ -177,11 +177,6 @@ def combine(settings: RenderSettings, samples: Sequence[Sample], more: Sequence[
         settings=settings, seconds=seconds, full_seconds=seconds if same_size else cost.seconds(rays), cost=cost,
         megabytes=max(peaks) if peaks else None, rays=rays, views=len(samples), **averaged,  # type: ignore[arg-type]
     )  # fmt: skip
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    present = [value for value in values if value is not None]
-    return fmean(present) if present else None
 
 
 def measure_all(
@@ -205,8 +200,3 @@ def measure_all(
             if name in costed:
                 more[name].append(bench.seconds(number, each, bench.scale / 2))
     return {name: combine(each, samples[name], more[name]) for name, each in settings.items()}
-
-
-def named(name: str, settings: RenderSettings) -> RenderSettings:
-    """Settings under another name."""
-    return replace(settings, preset=name)

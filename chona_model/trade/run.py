@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from chona_model.actor import Actor
@@ -18,7 +18,7 @@ from chona_model.settings import RENDER_PRESETS, RenderSettings, SettingsError
 from chona_model.trade.choose import choose, descend
 from chona_model.trade.cost import fit_cost
 from chona_model.trade.knobs import BASE, knobs_of
-from chona_model.trade.measure import Bench, Measured, measure_all, named
+from chona_model.trade.measure import Bench, Measured, measure_all
 from chona_model.trade.perceptual import find_lpips
 from chona_model.trade.plot import plot
 from chona_model.trade.report import Trade, summary, write_json
@@ -107,7 +107,7 @@ def measure_trade(model: Path, dataset: Dataset, out: Path, run: TradeRun, progr
     size = (views[0].camera.width, views[0].camera.height)
     trade = Trade({name: measured[name] for name in presets}, alone, combined, None, size, scale, views[0])
     chosen, problem = _chosen(trade, run)
-    trade = Trade(trade.presets, alone, combined, chosen, size, scale, views[0])
+    trade = replace(trade, chosen=chosen)
     write_json(out / "trade.json", trade, {"path": str(model), "sha256": digest}, machine())
     plot(out / "trade.png", trade)
     if run.keep and not progress.cancelled_by_user:
@@ -135,7 +135,7 @@ def _combine(
             return None
         name = f"combined {len(found) + 1}"
         numbers = range(min(COMBINED_VIEWS, base.views))
-        found.append(measure_all(bench, {name: named(name, settings)}, numbers, lambda _: True, [name])[name])
+        found.append(measure_all(bench, {name: replace(settings, preset=name)}, numbers, lambda _: True, [name])[name])
         return found[-1]
 
     descend(base, alone, measure)  # type: ignore[arg-type]

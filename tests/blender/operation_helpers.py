@@ -6,6 +6,7 @@ import json
 import os
 import struct
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,14 @@ def run_bpy(python: str, script: str, *arguments: object, environment: dict[str,
     if done.returncode != 0 or not lines:
         raise AssertionError(f"{script} ended with {done.returncode}\n{done.stdout[-4000:]}\n{done.stderr[-6000:]}")
     return json.loads(lines[-1])
+
+
+def needs_worker(python: str) -> None:
+    """Skips where there is no bpy, or no torch for a worker; then the helpers of ``tests/model`` can be imported."""
+    if not python:
+        pytest.skip("$CHONA_BPY names no Python with bpy")
+    pytest.importorskip("torch")
+    sys.path.insert(0, str(ROOT / "tests" / "model"))
 
 
 def write_header_only_model(path: Path, version: int = 1) -> Path:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from operation_helpers import ROOT, bpy_pythons, run_bpy
+from operation_helpers import bpy_pythons, needs_worker, run_bpy
 
 pytestmark = pytest.mark.bpy
 LISTENING = [
@@ -24,10 +24,7 @@ AT_REST = ["load_pre _file_closes"]
 @pytest.fixture(scope="module", params=bpy_pythons())
 def answer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict:
     """What happened in one version of Blender."""
-    if not request.param:
-        pytest.skip("$CHONA_BPY names no Python with bpy")
-    pytest.importorskip("torch")
-    sys.path.insert(0, str(ROOT / "tests" / "model"))
+    needs_worker(request.param)
     from tiny_models import trained
 
     from chona_model.grid_actor import GridActor

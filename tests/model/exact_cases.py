@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from benchmarks.recovery_cases import REST_JOINTS
 from chona_model.deform.skinning import DeformShape
 from chona_model.exact import ExactModel
 from chona_model.exact_shape import ExactShape
@@ -16,17 +17,6 @@ from chona_model.skeleton import SMPL, forward_kinematics
 torch.set_num_threads(1)  # these tensors are so small that threads only wait for each other
 
 BONES = len(SMPL)
-
-REST_JOINTS = np.array(
-    [
-        [0.0, 0.0, 0.0], [0.06, -0.09, 0.0], [-0.06, -0.09, 0.0], [0.0, 0.12, -0.02], [0.10, -0.47, 0.0],
-        [-0.10, -0.47, 0.0], [0.0, 0.25, 0.0], [0.09, -0.87, -0.04], [-0.09, -0.87, -0.04], [0.0, 0.31, 0.02],
-        [0.12, -0.93, 0.08], [-0.12, -0.93, 0.08], [0.0, 0.52, -0.02], [0.08, 0.43, 0.0], [-0.08, 0.43, 0.0],
-        [0.0, 0.60, 0.04], [0.17, 0.46, -0.01], [-0.17, 0.46, -0.01], [0.43, 0.45, -0.03], [-0.43, 0.45, -0.03],
-        [0.68, 0.46, -0.03], [-0.68, 0.46, -0.03], [0.76, 0.45, -0.04], [-0.76, 0.45, -0.04],
-    ]
-)  # fmt: skip
-"""A body of SMPL's joints, 1.6 m from head to foot, metres."""
 
 OBJECT_DISTANCE = 0.8
 
