@@ -13,40 +13,30 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
 import bpy
 
-from . import actions, capturing, compositing, jobs, measuring, preferences, presets, worker
+from . import actions, capturing, compositing, jobs, measuring, preferences
+from .command_line import Command, WrongArguments, make_parser
+from .command_options import apply, chosen_scene
 from .errors import ChonaError
-from .frames import parse_frames
-from .properties import FORMATS, TRAIN_PRESETS
 from .worker_check import check_worker
 
 DONE, FAILED, WRONG = 0, 1, 2
 
 
-class _Wrong(Exception):
-    """Arguments that cannot be understood."""
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise _Wrong(f"{self.prog}: {message}; see {self.prog} --help")
-
-
 def main(argv: Sequence[str]) -> int:
     """Run one command on the open scene. What a user can do wrong is told by the exit code and a line on stderr."""
     try:
-        arguments = _parser().parse_args(list(argv))
-        scene = _scene(arguments.scene)
-        _apply(scene, arguments)
+        arguments = make_parser(RUNS).parse_args(list(argv))
+        scene = chosen_scene(arguments.scene)
+        apply(scene, arguments)
         chosen = {key: getattr(arguments, key, None) or "" for key in ("python", "device")}
         with preferences.overridden(**chosen):
             return arguments.run(scene, arguments)
     except SystemExit as leave:  # argparse, after --help
         return int(leave.code or 0)
-    except _Wrong as error:
+    except WrongArguments as error:
         _say(str(error))
         return WRONG
     except ChonaError as error:
@@ -159,86 +149,6 @@ def _say(text: str) -> None:
     sys.stderr.flush()
 
 
-def _scene(name: str | None) -> bpy.types.Scene:
-    if name is None:
-        return bpy.context.scene
-    if name not in bpy.data.scenes:
-        raise ChonaError(f"there is no scene {name!r}; the file has: {', '.join(bpy.data.scenes.keys())}")
-    return bpy.data.scenes[name]
-
-
-def _apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
-    """Put the options that were given into the scene's settings."""
-    if arguments.save == "" and not bpy.data.filepath:  # before anything is done
-        raise ChonaError("--save needs a file name, because the open file has none; write --save FILE.blend")
-    settings = scene.chona
-    given = {key: value for key, value in vars(arguments).items() if value is not None}
-    for option, target in (
-        ("model", "model_path"),
-        ("person", "person"),
-        ("name", "name"),
-        ("max_error", "max_error"),
-        ("out", "output_folder"),
-        ("overwrite", "overwrite"),
-        ("data", "data_folder"),
-        ("format", "data_format"),
-        ("sequences", "sequences"),
-        ("run_folder", "run_folder"),
-        ("method", "train_preset"),
-        ("minutes", "minutes"),
-        ("resume", "resume"),
-        *((name, name) for name in CAPTURE_OPTIONS),
-    ):
-        if option in given:
-            setattr(settings, target, str(Path(given[option]).absolute()) if option in PATH_OPTIONS else given[option])
-    if "preset" in given:
-        settings.preset = presets.check(given["preset"])
-    if "armature" in given:
-        settings.armature = _object(given["armature"])
-    for name in ("capture_armature", "capture_object"):
-        if name in given:
-            setattr(settings, name, _object(given[name]))
-    if "object" in given:
-        settings.set_objects(dict(_pair(text) for text in given["object"]))
-    if "frames" in given:
-        _set_frames(settings, given["frames"])
-
-
-PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
-CAPTURE_OPTIONS = tuple(
-    f"capture_{name}" for name in ("person", "sequence", "folder", "cameras", "width", "height", "samples")
-)
-
-
-def _bound(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 0.5:
-        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 0.5")
-    return value
-
-
-def _set_frames(settings: bpy.types.PropertyGroup, text: str) -> None:
-    numbers = parse_frames(text)
-    step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
-    if numbers != list(range(numbers[0], numbers[-1] + 1, step)):
-        raise ChonaError(f"frames {text!r} are not one range with one step; run the command once for each range")
-    settings.use_scene_range = False
-    settings.frame_start, settings.frame_end, settings.frame_step = numbers[0], numbers[-1], step
-
-
-def _object(name: str) -> bpy.types.Object:
-    if name not in bpy.data.objects:
-        raise ChonaError(f"there is no object {name!r} in the file; check its name in the outliner")
-    return bpy.data.objects[name]
-
-
-def _pair(text: str) -> tuple[str, bpy.types.Object]:
-    name, equals, empty = text.partition("=")
-    if not equals:
-        raise ChonaError(f"--object {text!r} has no '='; write --object NAME_IN_THE_MODEL=EMPTY")
-    return name, _object(empty)
-
-
 def _save(arguments: argparse.Namespace) -> int:
     if arguments.save is not None:
         target = arguments.save or bpy.data.filepath
@@ -249,98 +159,15 @@ def _save(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="chona", description="CHONA in Blender, without a window.")
-    commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
-
-    def add(name: str, run: object, words: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=words, description=words)
-        command.set_defaults(run=run, save=None)
-        command.add_argument("--scene", metavar="NAME", help="scene to work on (default: the file's active one)")
-        return command
-
-    def actor(command: argparse.ArgumentParser) -> None:
-        command.add_argument("--model", metavar="FILE", help="model file (.safetensors)")
-        command.add_argument("--person", metavar="NAME", help="person of the model; '' for objects alone")
-
-    def layer(command: argparse.ArgumentParser) -> None:
-        command.add_argument("--out", metavar="FOLDER", help="folder of the baked frames")
-        command.add_argument("--name", metavar="NAME", help="name of the bake; frames are NAME_0001.exr …")
-
-    def python(command: argparse.ArgumentParser) -> None:
-        origin = f"the preferences', ${worker.PYTHON_VARIABLE}, .venv beside the sources"
-        command.add_argument("--python", metavar="FILE", help=f"the worker's Python (default: {origin})")
-        command.add_argument("--device", choices=[item[0] for item in preferences.DEVICES], help="what it computes on")
-
-    def save(command: argparse.ArgumentParser) -> None:
-        command.add_argument(
-            "--save",
-            nargs="?",
-            const="",
-            metavar="FILE.blend",
-            help="save the file when done, under this name or its own",
-        )
-
-    def shot(command: argparse.ArgumentParser) -> None:
-        actor(command)
-        command.add_argument("--armature", metavar="OBJECT", help="armature object that poses the person")
-        command.add_argument(
-            "--object", action="append", metavar="NAME=EMPTY",
-            help="object of the model and what moves it; repeat for more",
-        )  # fmt: skip
-        command.add_argument("--frames", metavar="A-B[:STEP]", help="frames to bake (default: the settings')")
-        command.add_argument("--preset", metavar="NAME", help=f"{', '.join(presets.OWN)}, or one of your own")
-        python(command)
-
-    one = add("bake", bake, "Render the posed actor to EXR frames.")
-    shot(one)
-    layer(one)
-    save(one)
-    one.add_argument("--max-error", type=_bound, metavar="E", help="render pixels finer until they change by no more")
-    one.add_argument("--overwrite", action="store_const", const=True, help="bake frames again that are up to date")
-    one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
-
-    shot(add("estimate", estimate, "Predict the bake with each preset after timing this computer for two seconds."))
-
-    one = add("composite", composite, "Put baked frames into the scene's compositor by depth.")
-    layer(one)
-    save(one)
-    one.add_argument("--remove", action="store_true", help="take them out instead")
-
-    one = add("create-rig", create_rig, "Make an armature and empties for a model.")
-    actor(one)
-    save(one)
-    one.add_argument("--objects", metavar="A,B", help="objects of the model (default: all)")
-
-    one = add("capture", capture, "Render training data of a rigged character.")
-    one.add_argument("--capture-armature", metavar="OBJECT", help="armature of the character")
-    one.add_argument(
-        "--capture-object", metavar="OBJECT", help="what the character handles: a mesh, or an empty over some"
-    )
-    one.add_argument("--capture-person", metavar="NAME", help="name of the character in the model")
-    one.add_argument("--capture-sequence", metavar="NAME", help="name of this performance")
-    one.add_argument("--capture-folder", metavar="FOLDER", help="folder for the capture")
-    one.add_argument("--capture-cameras", type=int, metavar="N", help="cameras in the ring")
-    one.add_argument("--capture-width", type=int, metavar="PIXELS")
-    one.add_argument("--capture-height", type=int, metavar="PIXELS")
-    one.add_argument("--capture-samples", type=int, metavar="N", help="Cycles samples a pixel")
-    one.add_argument("--frames", metavar="A-B[:STEP]", help="frames to capture (default: the settings')")
-    one.add_argument("--progress", choices=["text", "json"], default="text", help="how progress is told")
-
-    one = add("train", train, "Learn a model from captures.")
-    python(one)
-    one.add_argument("--data", metavar="FOLDER", help="folder with the captures")
-    one.add_argument("--format", choices=[item[0] for item in FORMATS], help="layout of the folder")
-    one.add_argument("--sequences", metavar="A,B", help="sequences to learn from (default: all)")
-    one.add_argument("--run-folder", metavar="FOLDER", help="folder for the model, its log and checkpoints")
-    one.add_argument("--method", choices=[item[0] for item in TRAIN_PRESETS], help="which networks")
-    one.add_argument("--minutes", type=float, metavar="M", help="how long")
-    one.add_argument("--resume", action="store_const", const=True, help="go on from the last checkpoint")
-
-    python(add("check", check, "Say whether the worker can work, and what to do if not."))
-    return parser
-
-
+RUNS: dict[str, Command] = {
+    "bake": bake,
+    "estimate": estimate,
+    "composite": composite,
+    "create-rig": create_rig,
+    "capture": capture,
+    "train": train,
+    "check": check,
+}
 _registered: list[object] = []
 
 

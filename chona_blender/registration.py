@@ -17,6 +17,7 @@ from . import (
     live,
     model_cache,
     panels,
+    part_properties,
     preferences,
     presets,
     properties,
@@ -27,8 +28,8 @@ from .jobs import board, remember_error
 from .operators import bake, capture, composite, costs, diagnose, preview, rig, train
 
 CLASSES: tuple[type, ...] = (
-    actor_properties.CHONA_PG_object,
-    actor_properties.CHONA_PG_bone,
+    part_properties.CHONA_PG_object,
+    part_properties.CHONA_PG_bone,
     actor_properties.CHONA_PG_actor,
     properties.CHONA_PG_settings,
     preferences.CHONA_AP_preferences,

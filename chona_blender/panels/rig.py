@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..actor_properties import FOLLOWS, FOUND
+from ..part_properties import FOLLOWS, FOUND
 from . import check
 from .sidebar import Sidebar, wrapped
 

@@ -1,0 +1,85 @@
+"""From a command's options to the scene's settings: options that are given replace what the file says."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import bpy
+
+from . import presets
+from .errors import ChonaError
+from .frames import parse_frames
+
+PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
+CAPTURE_OPTIONS = tuple(
+    f"capture_{name}" for name in ("person", "sequence", "folder", "cameras", "width", "height", "samples")
+)
+
+
+def chosen_scene(name: str | None) -> bpy.types.Scene:
+    """The scene to work on; without a name the file's active one."""
+    if name is None:
+        return bpy.context.scene
+    if name not in bpy.data.scenes:
+        raise ChonaError(f"there is no scene {name!r}; the file has: {', '.join(bpy.data.scenes.keys())}")
+    return bpy.data.scenes[name]
+
+
+def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
+    """Put the options that were given into the scene's settings."""
+    if arguments.save == "" and not bpy.data.filepath:  # before anything is done
+        raise ChonaError("--save needs a file name, because the open file has none; write --save FILE.blend")
+    settings = scene.chona
+    given = {key: value for key, value in vars(arguments).items() if value is not None}
+    for option, target in (
+        ("model", "model_path"),
+        ("person", "person"),
+        ("name", "name"),
+        ("max_error", "max_error"),
+        ("out", "output_folder"),
+        ("overwrite", "overwrite"),
+        ("data", "data_folder"),
+        ("format", "data_format"),
+        ("sequences", "sequences"),
+        ("run_folder", "run_folder"),
+        ("method", "train_preset"),
+        ("minutes", "minutes"),
+        ("resume", "resume"),
+        *((name, name) for name in CAPTURE_OPTIONS),
+    ):
+        if option in given:
+            setattr(settings, target, str(Path(given[option]).absolute()) if option in PATH_OPTIONS else given[option])
+    if "preset" in given:
+        settings.preset = presets.check(given["preset"])
+    if "armature" in given:
+        settings.armature = _object(given["armature"])
+    for name in ("capture_armature", "capture_object"):
+        if name in given:
+            setattr(settings, name, _object(given[name]))
+    if "object" in given:
+        settings.set_objects(dict(_pair(text) for text in given["object"]))
+    if "frames" in given:
+        _set_frames(settings, given["frames"])
+
+
+def _set_frames(settings: bpy.types.PropertyGroup, text: str) -> None:
+    numbers = parse_frames(text)
+    step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
+    if numbers != list(range(numbers[0], numbers[-1] + 1, step)):
+        raise ChonaError(f"frames {text!r} are not one range with one step; run the command once for each range")
+    settings.use_scene_range = False
+    settings.frame_start, settings.frame_end, settings.frame_step = numbers[0], numbers[-1], step
+
+
+def _object(name: str) -> bpy.types.Object:
+    if name not in bpy.data.objects:
+        raise ChonaError(f"there is no object {name!r} in the file; check its name in the outliner")
+    return bpy.data.objects[name]
+
+
+def _pair(text: str) -> tuple[str, bpy.types.Object]:
+    name, equals, empty = text.partition("=")
+    if not equals:
+        raise ChonaError(f"--object {text!r} has no '='; write --object NAME_IN_THE_MODEL=EMPTY")
+    return name, _object(empty)

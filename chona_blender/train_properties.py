@@ -1,0 +1,82 @@
+"""What the user sets for training and measuring a model: part of `scene.chona`.
+
+Blender reads the annotations of property classes, so they are not postponed here.
+"""
+
+import bpy
+
+from .actor_properties import RELATIVE_PATH
+
+FORMATS = (
+    ("auto", "Automatic", "Recognise the kind of data from the folder"),
+    ("behave", "BEHAVE", "A folder in the layout of the BEHAVE data set"),
+    ("zju_mocap", "ZJU-MoCap", "A folder in the layout of the ZJU-MoCap data set"),
+    ("co3d", "CO3D", "A folder in the layout of the CO3D data set"),
+    ("transforms", "transforms.json", "Images and cameras as NeRF tools write them"),
+    ("blender", "Blender capture", "A folder that Capture in this add-on wrote"),
+)
+TRAIN_PRESETS = (
+    ("fast", "Fast", "Grid encodings and small networks: minutes on a processor"),
+    ("paper", "Paper", "The networks of the paper: hours on a graphics card"),
+)
+
+
+class TrainSettings:
+    """What to learn from, how long, and where the model goes; and what to measure it on."""
+
+    data_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Data",
+        description="Folder with the captures to learn from",
+        subtype="DIR_PATH",
+        options=RELATIVE_PATH,
+    )
+    data_format: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Format",
+        description="Layout of the data folder",
+        items=FORMATS,
+        default="auto",
+    )
+    sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Sequences",
+        description="Names of the sequences to learn from, with commas between; empty for all",
+    )
+    run_folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Result",
+        description="Folder for the model, its log and its checkpoints",
+        subtype="DIR_PATH",
+        options=RELATIVE_PATH,
+        default="//chona_model/",
+    )
+    train_preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Method",
+        description="Which networks are trained",
+        items=TRAIN_PRESETS,
+        default="fast",
+    )
+    minutes: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Time",
+        description="How long to train, in minutes",
+        default=10.0,
+        min=0.1,
+        soft_max=600.0,
+        subtype="UNSIGNED",
+        precision=1,
+    )
+    measure_sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Sequences",
+        description="Names of the sequences to measure on, with commas between; best such that training did not see. "
+        "Empty for all",
+    )
+    measure_minutes: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Time",
+        description="How long to measure, in minutes; longer tries more views and more combinations",
+        default=3.0,
+        min=0.1,
+        soft_max=60.0,
+        subtype="UNSIGNED",
+        precision=1,
+    )
+    resume: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Resume",
+        description="Go on from the last checkpoint in the result folder",
+    )
