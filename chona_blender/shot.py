@@ -79,12 +79,18 @@ def sample_actors(
 
 
 def sample_actors_now(
-    scene: Scene, depsgraph: Depsgraph, plans: Sequence[ActorPlan], *, limit: float = STRETCH_LIMIT
+    scene: Scene,
+    depsgraph: Depsgraph,
+    plans: Sequence[ActorPlan],
+    served: Path | None = None,
+    *,
+    limit: float = STRETCH_LIMIT,
 ) -> Shot:
     """A shot of one frame: actors and the scene's camera as they are now, edits without a key included.
 
     Args:
         depsgraph: evaluated, of a view layer of ``scene``; for the others see ``sample_actors``.
+        served: the model of the worker that gets the shot; actors of others name theirs. None: the first actor's.
 
     Raises:
         ChonaError: see ``sample_actors``; also what the view layer does not evaluate.
@@ -92,7 +98,7 @@ def sample_actors_now(
     found = [cast(plan) for plan in plans]
     image = image_format(scene)
     samples = sample_now(scene, depsgraph, [each.subject for each in found], image)
-    return _shot(scene, found, samples, image, "live", limit)
+    return _shot(scene, found, samples, image, "live", limit, served)
 
 
 def _poses(found: Sequence[Cast], samples: Sequence[Samples], labels: Sequence[str], limit: float) -> list[RigidPose]:
@@ -121,7 +127,13 @@ def _poses(found: Sequence[Cast], samples: Sequence[Samples], labels: Sequence[s
 
 
 def _shot(
-    scene: Scene, found: Sequence[Cast], samples: Sequence[Samples], image: ImageFormat, name: str, limit: float
+    scene: Scene,
+    found: Sequence[Cast],
+    samples: Sequence[Samples],
+    image: ImageFormat,
+    name: str,
+    limit: float,
+    served: Path | None = None,
 ) -> Shot:
     if not found:
         raise ChonaError("The shot has no actor. Choose a person, an object or both")
@@ -135,7 +147,8 @@ def _shot(
             "The frame range switches between perspective and orthographic cameras. Write one shot for each, with its "
             "own frame range"
         )
-    models = [str(each.plan.header.path) for each in found]
+    models = [each.plan.header.path.absolute() for each in found]
+    first = models[0] if served is None else served.absolute()
     description = {
         "format": "chona-shot",
         "version": 1,
@@ -150,7 +163,7 @@ def _shot(
                 "person": each.plan.person,
                 "objects": list(each.object_names),
                 "bones": list(each.plan.header.names) if each.driver else [],
-                **({"model": model} if model != models[0] else {}),
+                **({"model": str(model)} if model != first else {}),
             }
             for each, label, model in zip(found, labels, models, strict=True)
         ],

@@ -7,17 +7,17 @@ The bound is an estimate of the error, from the distance between two rungs, not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-from chona_model.actor import Actor, Picture, merge
-from chona_model.camera import Camera
-from chona_model.data.dataset import Pose
+from chona_model.actor import Picture, merge
 from chona_model.settings import ExactSettings, RenderSettings
+
+Render = Callable[[RenderSettings, np.ndarray | None], Picture]
+"""Renders one view with the given settings, or some pixels [H, W] bool of it."""
 
 RUNGS = 4
 """Settings on a ladder, the first being those asked for."""
@@ -70,34 +70,6 @@ def together(views: Sequence[Reached]) -> Reached | None:
     return Reached(asked=views[0].asked, error=error, rungs=rungs, **sums)
 
 
-class BoundedActor:
-    """An actor all of whose views are rendered within one bound.
-
-    Args:
-        actor: renders; bound: see ``render_within``.
-    """
-
-    def __init__(self, actor: Actor, bound: float) -> None:
-        self._actor, self._bound = actor, bound
-        self._views: list[Reached] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._actor, name)
-
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
-        """A view within the bound; some ``pixels`` of one are rendered as the settings have them."""
-        if pixels is not None:
-            return self._actor.render(pose, camera, settings, pixels)
-        picture, reached = render_within(self._actor, pose, camera, settings, self._bound)
-        self._views.append(reached)
-        return picture
-
-    @property
-    def reached(self) -> Reached | None:
-        """What the bound came to over all views; None where there were none."""
-        return together(self._views)
-
-
 def ladder(settings: RenderSettings) -> list[RenderSettings]:
     """Settings of rising accuracy and cost; everything left out below is put in on the second rung."""
     rungs = [replace(settings, resolution=1.0)]
@@ -125,18 +97,16 @@ def _finer(exact: ExactSettings) -> ExactSettings:
     )  # fmt: skip
 
 
-def render_within(
-    actor: Actor, pose: Pose, camera: Camera, settings: RenderSettings, bound: float
-) -> tuple[Picture, Reached]:
+def render_within(render: Render, settings: RenderSettings, bound: float) -> tuple[Picture, Reached]:
     """Renders a view until no pixel's colour or alpha changes by more than ``bound`` from one rung to the next.
 
     Args:
+        render: one view, of one actor or of several in one picture.
         settings: the first rung; of its resolution only full size is used.
         bound: 0…1, as colours are; what the last two rungs of a pixel may differ by.
     """
     rungs = ladder(settings)
-    last = actor.render(pose, camera, rungs[0])
-    picture = actor.render(pose, camera, rungs[1])
+    last, picture = (render(rung, None) for rung in rungs[:2])
     rays = sum(part.rays * rung.supersampling**2 for part, rung in zip((last, picture), rungs[:2], strict=True))
     change = _apart(last, picture)
     shown = (last.alpha > 0) | (picture.alpha > 0)
@@ -148,7 +118,7 @@ def render_within(
             break
         # A pixel beside one that moved may have stayed by chance.
         wanted = ndimage.binary_dilation(above, np.ones((3, 3), bool)) & shown
-        finer = actor.render(pose, camera, rung, wanted)
+        finer = render(rung, wanted)
         rays += finer.rays * rung.supersampling**2
         change = np.where(wanted, _apart(picture, finer), change)
         # A picture's count is of pixels; these were counted already.

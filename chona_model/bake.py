@@ -11,33 +11,32 @@ from pathlib import Path
 
 import numpy as np
 
-from chona_model.actor import Actor
-from chona_model.adaptive import BoundedActor, Reached
+from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
-from chona_model.formats.model_file import ModelHeader, file_hash, read_header
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.frame import ShotRenderer
-from chona_model.model_store import LoadReport, load_with_report
-from chona_model.passes import ALL_PASSES, Passes
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
 from chona_model.settings import RenderSettings
-from chona_model.sight import bones_at_rest, out_of_picture, shown_identities
+from chona_model.shot_models import LoadedModels, ShotModels, find_models
+from chona_model.sight import bones_at_rest, out_of_picture
 
 
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
-    device: str = "cpu", passes: Passes = ALL_PASSES, max_error: float = 0.0,
+    device: str = "cpu", passes: Passes = DEFAULT_PASSES, max_error: float = 0.0,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
     A frame that is already there, whole, and of the same model, pose, camera, settings and passes is skipped unless
     ``overwrite``.  A frame that shows what another of the shot shows is copied from it (holds, cycles), whether this
-    run or an earlier one rendered it.  Of the model only the identities that the shot shows are loaded, and only when a
+    run or an earlier one rendered it.  Of a model only the identities that its actors show are loaded, and only when a
     frame has to be rendered.  When cancelled, every frame on disk is a finished one.
 
     Args:
+        model: of the actors that name none in the shot.
         frames: frame numbers to bake; None for all of the shot.
         preset: a name, or the path of a preset's file.
         passes: what frames have besides their colours.
@@ -45,17 +44,17 @@ def bake(
 
     Raises:
         SettingsError: there is no such preset.
-        ShotError: the shot is damaged, or a frame, person, object or bone in it is unknown.
-        ModelFileError: the model cannot be loaded.  OSError: the folder cannot be written to.
+        ShotError: the shot is damaged, or a frame, model, person, object or bone in it is unknown.
+        ModelFileError: a model cannot be loaded.  OSError: the folder cannot be written to.
     """
-    content, header = read_shot(shot), read_header(model)
+    content = read_shot(shot)
+    models = find_models(content, model, shot.parent)
     chosen = choose_frames(content, frames)
-    check_actors(content, header)
-    settings, digest = find_preset(preset), file_hash(model)
+    settings, digest = find_preset(preset), models.digest()
     _check_writable(out)
     began = time.perf_counter()
     done = FinishedFrames(content, settings, out, digest, passes, trust=not overwrite, max_error=max_error)
-    tally, source = Tally(passes), _Source(model, content, header, settings, passes, device, max_error)
+    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error)
     written = skipped = repeated = 0
     progress.start("bake", len(chosen), unit="frame")
     for index in chosen:
@@ -74,7 +73,8 @@ def bake(
                 repeated += 1
             else:
                 layers = source.render(index)
-                tally.rendered(out_of_picture(content, index, header), source.folded(index))
+                headers = models.of_actors
+                tally.rendered(out_of_picture(content, index, headers), bones_at_rest(content, index, headers))
             seconds, number = time.perf_counter() - start, int(content.frames[index])
             settled = json.dumps(asdict(settings) | ({"max_error": max_error} if max_error else {}))
             write_frame(path, layers, FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number))
@@ -131,48 +131,39 @@ class _Source:
     """Renders frames, and loads what it takes when the first is asked for."""
 
     def __init__(
-        self, model: Path, shot: Shot, header: ModelHeader, settings: RenderSettings, passes: Passes, device: str,
-        max_error: float,
-    ) -> None:  # fmt: skip
-        self._model, self._shot, self._header, self._device = model, shot, header, device
+        self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float
+    ) -> None:
+        self._models, self._shot, self._device = models, shot, device
         self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
-        self._bounded: BoundedActor | None = None
-        self._loaded: LoadReport | None = None
+        self._loaded: LoadedModels | None = None
 
     def load(self) -> ShotRenderer:
         """Loads what the shot shows, if that is not done."""
         if self._renderer is None:
-            persons, objects = shown_identities(self._shot)
-            actor, self._loaded = load_with_report(self._model, self._device, persons, objects)
-            if self._max_error:
-                self._bounded = actor = BoundedActor(actor, self._max_error)
-            self._renderer = ShotRenderer(actor, self._shot, self._settings, self._passes)
+            self._loaded = self._models.load(self._shot, self._device)
+            actors = self._loaded.actors
+            self._renderer = ShotRenderer(actors, self._shot, self._settings, self._passes, self._max_error)
         return self._renderer
 
     def render(self, index: int) -> FrameLayers:
         """The pixels of the frame at ``index``."""
         return self.load().render(index)
 
-    def folded(self, index: int) -> tuple[int, int]:
-        """How many bones of the frame were at rest, and of how many; only grids fold them."""
-        return bones_at_rest(self._shot, index, self._header) if self._header.field == "grid" else (0, 0)
-
     @property
     def reached(self) -> Reached | None:
         """What a bound on the error came to; None without one, or where nothing was rendered."""
-        return self._bounded.reached if self._bounded else None
+        return self._renderer.reached if self._renderer else None
 
     def left_out(self, tally: Tally) -> LeftOut:
         """What was not needed."""
         if self._renderer is None or self._loaded is None:
-            names = (*self._header.persons, *self._header.objects)
-            return tally.left_out(False, names, self._header.size_bytes, 0)
+            return tally.left_out(False, self._models.identities, self._models.size_bytes, 0)
         return tally.left_out(True, self._loaded.left, self._loaded.bytes_left, self._renderer.kept)
 
 
 def frame_hash(shot: Shot, index: int, settings: RenderSettings, max_error: float = 0.0) -> str:
-    """SHA-256 over everything a frame's pixels depend on besides the model."""
+    """SHA-256 over everything a frame's pixels depend on besides the models."""
     digest = hashlib.sha256()
     facts = {
         "size": [shot.width, shot.height], "kind": shot.camera_kind, "scale": shot.world_scale,
@@ -200,26 +191,6 @@ def choose_frames(shot: Shot, frames: Sequence[int] | None) -> list[int]:
             f"({len(place)} frames): choose among them with --frames, or write the shot again"
         )
     return [place[frame] for frame in sorted(set(frames))]
-
-
-def check_actors(shot: Shot, model: Actor | ModelHeader) -> None:
-    """``ShotError`` where the shot wants a person, an object or a bone that the model lacks."""
-    for member in shot.actors:
-        if member.person is not None and member.person not in model.persons:
-            raise ShotError(
-                f"actor '{member.name}' wants the person '{member.person}', the model has {', '.join(model.persons)}"
-            )
-        for name in member.objects:
-            if name not in model.objects:
-                raise ShotError(f"actor '{member.name}' wants the object '{name}', the model has "
-                                f"{', '.join(model.objects) or 'none'}")  # fmt: skip
-        if member.person is not None and member.bones != model.skeleton.names:
-            missing = [name for name in model.skeleton.names if name not in member.bones]
-            raise ShotError(
-                f"actor '{member.name}' lacks the model's bone '{missing[0]}': map it in the rig"
-                if missing
-                else f"actor '{member.name}' has its bones in another order than the model; write the shot again"
-            )
 
 
 def _check_writable(out: Path) -> None:

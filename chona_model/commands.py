@@ -133,21 +133,21 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
             "the model with 'chona trade'"
         )
     device = resolve_device(arguments.device)
-    from chona_model.bake import check_actors, choose_frames
-    from chona_model.model_store import load_actor
-    from chona_model.sight import shown_identities
+    from chona_model.bake import choose_frames
+    from chona_model.shot_models import find_models
     from chona_model.trade.estimate import estimate, reference_shot
 
     progress.check()
     progress.start("estimate", arguments.seconds, unit="s")
     names = header.skeleton.names
     shot = reference_shot(header.trade or {}, names) if arguments.shot is None else read_shot(arguments.shot)
-    check_actors(shot, header)
+    models = find_models(shot, arguments.model, arguments.shot.parent if arguments.shot else None)
     frames = choose_frames(shot, arguments.frames)
-    persons, objects = shown_identities(shot)
-    actor = load_actor(arguments.model, device, persons, objects)
+    actors = models.load(shot, device).actors
     started = time.perf_counter() - process.BEGAN
-    found = estimate(actor, shot, frames, header.trade, arguments.preset, arguments.seconds, started)
+    # A ray of another model costs something else: where there are several, all presets are timed here.
+    trade = header.trade if set(models.paths) == {arguments.model} else None
+    found = estimate(actors, shot, frames, trade, arguments.preset, arguments.seconds, started)
     lines = [
         f"{name}: {'' if each.psnr is None else f'{each.psnr:.1f} dB, '}{each.seconds_per_frame:.2f} s a frame here; "
         f"{found.frames} frame{'s' * (found.frames > 1)} ≈ {each.total_seconds:.0f} s"

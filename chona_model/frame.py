@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from chona_model.actor import EMPTY_DEPTH, Actor, Picture
+from chona_model.adaptive import Reached, render_within, together
 from chona_model.camera import Camera
+from chona_model.data.dataset import Pose
 from chona_model.formats.exr import FrameLayers
 from chona_model.formats.shot import Shot
-from chona_model.passes import ALL_PASSES, Passes
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.samples import beside_each_other, composite, over_each_other
 from chona_model.settings import RenderSettings
 
@@ -25,53 +30,87 @@ class ShotRenderer:
 
     Attributes:
         kept: pictures of actors that were taken from the frame before.
+
+    Args:
+        actors: what renders each of the shot's actors.
+        max_error: bound on every pixel's colour and alpha, see ``adaptive.render_within``; 0 for none.
     """
 
-    def __init__(self, actor: Actor, shot: Shot, settings: RenderSettings, passes: Passes = ALL_PASSES) -> None:
-        self.actor, self.shot, self.settings, self.passes = actor, shot, settings, passes
+    def __init__(
+        self, actors: Sequence[Actor], shot: Shot, settings: RenderSettings, passes: Passes = DEFAULT_PASSES,
+        max_error: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.actors, self.shot, self.settings, self.passes, self.max_error = actors, shot, settings, passes, max_error
         self.kept = 0
-        self._last: dict[int, tuple[bytes, Picture]] = {}
+        self._last: dict[tuple[int, RenderSettings], tuple[bytes, Picture]] = {}
+        self._views: list[Reached] = []
+
+    @property
+    def reached(self) -> Reached | None:
+        """What the bound on the error came to over all frames; None without one, or without frames."""
+        return together(self._views)
 
     def render(self, index: int, camera: Camera | None = None) -> FrameLayers:
         """The pixels of the frame at ``index``, seen by the shot's camera or another."""
         camera = camera or self.shot.camera(index)
         near, far = self.shot.clip[index]
-        combined, depth, human, thing, confidence = _layer(self._together(index, camera), near, far, self.passes)
+        combined, depth, human, thing, confidence = _layer(self._sharp(index, camera), near, far, self.passes)
         scaled = None
         if self.passes.depth:
             scale = np.float32(self.shot.world_scale)
             scaled = np.where(depth < EMPTY_DEPTH, depth * scale, np.float32(EMPTY_DEPTH))
         return FrameLayers(combined, scaled, human, thing, confidence)
 
-    def _together(self, index: int, camera: Camera) -> Picture:
+    def _sharp(self, index: int, camera: Camera) -> Picture:
+        """The frame's moment through a pinhole, within the bound if there is one."""
+        poses = [member.pose(index) for member in self.shot.actors]
+
+        def render(settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
+            return self._together(poses, camera, settings, pixels)
+
+        if not self.max_error:
+            return render(self.settings, None)
+        picture, reached = render_within(render, self.settings, self.max_error)
+        self._views.append(reached)
+        return picture
+
+    def _together(
+        self, poses: Sequence[Pose], camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None
+    ) -> Picture:
         """All actors in one picture: where several show, their samples are sorted along the rays."""
-        pictures = [self._picture(number, index, camera) for number in range(len(self.shot.actors))]
+        pictures = [self._picture(number, pose, camera, settings, pixels) for number, pose in enumerate(poses)]
         picture = beside_each_other(pictures)
         both = over_each_other(pictures)
         if not both.any():
             return picture
-        samples = [self.actor.sample(member.pose(index), camera, self.settings, both) for member in self.shot.actors]
-        return composite(samples, camera, self.settings.supersampling, picture, both)
+        parts = [both & (own.alpha > 0) for own in pictures]
+        samples = [
+            actor.sample(pose, camera, settings, part)
+            for actor, pose, part in zip(self.actors, poses, parts, strict=True)
+        ]
+        picture = replace(picture, rays=picture.rays + sum(int(part.sum()) for part in parts))
+        return composite(samples, camera, settings.supersampling, picture, both)
 
-    def _picture(self, number: int, index: int, camera: Camera) -> Picture:
-        pose = self.shot.actors[number].pose(index)
-        if len(self.shot.actors) == 1:
-            return self.actor.render(pose, camera, self.settings)
+    def _picture(
+        self, number: int, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None
+    ) -> Picture:
+        if len(self.actors) == 1 or pixels is not None:
+            return self.actors[number].render(pose, camera, settings, pixels)
         arrays = (pose.world_from_bone, pose.world_from_object, camera.world_from_camera, camera.intrinsics)
-        key = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
-        if number in self._last and self._last[number][0] == key:
+        key, place = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays), (number, settings)
+        if place in self._last and self._last[place][0] == key:
             self.kept += 1
         else:
-            self._last[number] = key, self.actor.render(pose, camera, self.settings)
-        return self._last[number][1]
+            self._last[place] = key, self.actors[number].render(pose, camera, settings)
+        return self._last[place][1]
 
 
 def render_frame(
     actor: Actor, shot: Shot, index: int, settings: RenderSettings, camera: Camera | None = None,
-    passes: Passes = ALL_PASSES,
+    passes: Passes = DEFAULT_PASSES,
 ) -> FrameLayers:  # fmt: skip
-    """One frame's pixels, seen by the shot's camera or another; several actors are merged sample by sample."""
-    return ShotRenderer(actor, shot, settings, passes).render(index, camera)
+    """One frame's pixels where all actors are of one model; see ``ShotRenderer``."""
+    return ShotRenderer([actor] * len(shot.actors), shot, settings, passes).render(index, camera)
 
 
 def _layer(picture: Picture, near: float, far: float, passes: Passes) -> Layer:

@@ -17,14 +17,15 @@ from typing import BinaryIO
 import numpy as np
 
 from chona_model.actor import Actor
-from chona_model.bake import check_actors
 from chona_model.camera import Camera
 from chona_model.data.dataset import Pose
+from chona_model.formats.model_file import ModelFileError
 from chona_model.formats.shot import Shot, ShotError, read_shot
-from chona_model.frame import render_frame
+from chona_model.frame import ShotRenderer
 from chona_model.model_store import load_actor
 from chona_model.passes import Passes
 from chona_model.settings import RENDER_PRESETS
+from chona_model.shot_models import find_models
 from chona_model.skeleton import translation
 
 LONGEST_LINE = 1 << 16
@@ -33,6 +34,9 @@ LARGEST_SHOT = 1 << 26
 
 WARM_PRESET = "draft"
 """All presets go through the same kernels."""
+
+KEPT_MODELS = 4
+"""Models that shots name and that stay loaded, besides the one that is served."""
 
 
 class RequestError(ValueError):
@@ -125,15 +129,16 @@ class Inbox:
 def serve(model: Path, device: str, source: BinaryIO, out: BinaryIO) -> None:
     """Loads a model, says that it is ready and answers requests until the parent closes its end.
 
-    A request that cannot be rendered is answered with an error, and the next one is waited for.
+    A request that cannot be rendered is answered with an error, and the next one is waited for.  Models that a shot's
+    actors name are loaded when they are first wanted, and again when their files change.
 
     Raises:
         ModelFileError: the model cannot be loaded.  RequestError: the input is not the protocol's.
     """
     began = time.perf_counter()
     inbox = Inbox(source)
-    actor = load_actor(model, device)
-    _warm(actor)
+    models = _Models(model, device)
+    _warm(models.served)
     _say(out, {"event": "ready", "job": "serve", "seconds": round(time.perf_counter() - began, 3)})
     while True:
         request, overtaken = inbox.next()
@@ -142,22 +147,51 @@ def serve(model: Path, device: str, source: BinaryIO, out: BinaryIO) -> None:
         if request is None:
             return
         try:
-            _answer(out, actor, request)
-        except (ShotError, KeyError, RequestError) as error:
+            _answer(out, models, request)
+        except (ShotError, ModelFileError, KeyError, RequestError) as error:
             _say(out, {"event": "error", "request": request.number, "message": " ".join(str(error).split())})
 
 
-def _answer(out: BinaryIO, actor: Actor, request: Request) -> None:
+class _Models:
+    """Loaded models, with everybody in them: which of them the next pose shows nobody knows.
+
+    Attributes:
+        served: the one for actors that name none.
+    """
+
+    def __init__(self, served: Path, device: str) -> None:
+        self._path, self._device = served, device
+        self.served = load_actor(served, device)
+        self._named: dict[tuple[Path, int, int], Actor] = {}
+
+    def of(self, shot: Shot) -> list[Actor]:
+        """What renders each of a shot's actors."""
+        return [self._loaded(path) for path in find_models(shot, self._path, None).paths]
+
+    def _loaded(self, path: Path) -> Actor:
+        if path == self._path:
+            return self.served
+        state = path.stat()
+        key = (path.resolve(), state.st_mtime_ns, state.st_size)
+        actor = self._named.pop(key, None) or load_actor(path, self._device)
+        for old in [known for known in self._named if known[0] == key[0]]:  # its file has changed
+            del self._named[old]
+        while len(self._named) >= KEPT_MODELS:
+            del self._named[next(iter(self._named))]
+        self._named[key] = actor
+        return actor
+
+
+def _answer(out: BinaryIO, models: _Models, request: Request) -> None:
     began = time.perf_counter()
     if request.preset not in RENDER_PRESETS:
         raise RequestError(f"the preset is '{request.preset}', expected one of {', '.join(RENDER_PRESETS)}")
     if not 0.0 < request.scale <= 1.0:
         raise RequestError(f"the scale is {request.scale}, expected more than 0 and at most 1")
     shot: Shot = read_shot(io.BytesIO(request.shot))
-    check_actors(shot, actor)
     camera = shot.camera(0).scaled(request.scale)
     wanted = Passes(mattes=False, confidence=False)
-    layers = render_frame(actor, shot, 0, RENDER_PRESETS[request.preset], camera, wanted)
+    layers = ShotRenderer(models.of(shot), shot, RENDER_PRESETS[request.preset], wanted).render(0, camera)
     assert layers.depth is not None  # it is among what is wanted
     pixels = np.concatenate([layers.combined, layers.depth[..., None]], axis=-1).astype("<f4")
     content = pixels.tobytes()

@@ -5,6 +5,7 @@ All from the shot and a model file's header: no tensor is read for it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,19 +32,22 @@ class Unseen:
     name: str
 
 
-def shown_identities(shot: Shot) -> tuple[list[str], list[str]]:
-    """Names of the persons and of the objects that a shot shows at all."""
-    persons = {member.person for member in shot.actors if member.person is not None}
-    return sorted(persons), sorted({name for member in shot.actors for name in member.objects})
+def shown_identities(actors: Sequence[ShotActor]) -> tuple[list[str], list[str]]:
+    """Names of the persons and of the objects that actors show at all."""
+    persons = {member.person for member in actors if member.person is not None}
+    return sorted(persons), sorted({name for member in actors for name in member.objects})
 
 
-def out_of_picture(shot: Shot, index: int, header: ModelHeader) -> list[Unseen]:
+def out_of_picture(shot: Shot, index: int, headers: Sequence[ModelHeader]) -> list[Unseen]:
     """Who of the frame at ``index`` is surely beside, above, below or behind the camera's picture.
 
     A body reaches ``BODY_REACH`` beyond its bones, an object ``OBJECT_MARGIN`` beyond its box.
+
+    Args:
+        headers: of every actor's model.
     """
     camera, found = shot.camera(index), []
-    for member in shot.actors:
+    for member, header in zip(shot.actors, headers, strict=True):
         if member.person is not None and _bones_outside(member, index, header, camera):
             found.append(Unseen(member.name, member.person))
         for slot, name in enumerate(member.objects):
@@ -54,14 +58,17 @@ def out_of_picture(shot: Shot, index: int, header: ModelHeader) -> list[Unseen]:
     return found
 
 
-def bones_at_rest(shot: Shot, index: int, header: ModelHeader) -> tuple[int, int]:
+def bones_at_rest(shot: Shot, index: int, headers: Sequence[ModelHeader]) -> tuple[int, int]:
     """How many bones of the frame's persons stand to their root as in the canonical pose, and of how many.
 
-    The roots themselves are not counted: they always do.
+    The roots themselves are not counted: they always do. Nor are models on the paper's path, which fold no bones.
+
+    Args:
+        headers: of every actor's model.
     """
     still = total = 0
-    for member in shot.actors:
-        if member.person is not None:
+    for member, header in zip(shot.actors, headers, strict=True):
+        if member.person is not None and header.field == "grid":
             rig = Rig(header.skeleton, header.rest_joints(member.person), header.object_distance)
             figure = make_figure(rig, member.world_from_bone[index], np.zeros((0, 4, 4)), 0)
             transforms = torch.as_tensor(figure.transforms, dtype=torch.float32)

@@ -19,7 +19,7 @@ FLOORS = (
     ("serve",),
     ("trade",),
     ("bake", "train", "evaluate", "info", "doctor", "data_report"),
-    ("bake_report",),
+    ("bake_report", "shot_models"),
     ("frame", "sight"),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),

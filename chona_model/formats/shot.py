@@ -68,6 +68,8 @@ class ShotActor:
         bones: B names in the order of ``world_from_bone``.
         world_from_bone: [F, B, 4, 4] rigid, metres.
         world_from_object: [F, N, 4, 4] rigid, metres.
+        model: path of its model's file, which may be relative to the shot's; None for the model that the shot is baked
+            with.
     """
 
     name: str
@@ -76,6 +78,7 @@ class ShotActor:
     bones: tuple[str, ...]
     world_from_bone: np.ndarray
     world_from_object: np.ndarray
+    model: str | None = None
 
     def pose(self, index: int) -> Pose:
         """The actor in the frame at ``index`` (a position in ``Shot.frames``, not a frame number)."""
@@ -152,7 +155,7 @@ def write_shot_to(stream: BinaryIO, shot: Shot) -> None:
         width=shot.width,
         height=shot.height,
         camera_kind="ORTHO" if shot.camera_kind == ORTHOGRAPHIC else "PERSP",
-        actors=[_ActorHeader(a.name, a.person, list(a.objects), list(a.bones)) for a in shot.actors],
+        actors=[_ActorHeader(a.name, a.person, list(a.objects), list(a.bones), a.model) for a in shot.actors],
     )
     arrays = {
         "header": np.frombuffer(msgspec.json.encode(header), dtype=np.uint8),
@@ -184,12 +187,6 @@ def read_shot(source: Path | BinaryIO) -> Shot:
             f"cannot read the shot {path}: {error}; expected a file NAME.shot.npz, export it again"
         ) from error
     header = _header(arrays, path)
-    other = next((actor for actor in header.actors if actor.model is not None), None)
-    if other is not None:
-        raise ShotError(
-            f"{path}: actor '{other.name}' is of another model ({other.model}) than the shot's first; this version "
-            "renders one model a shot: bake the actors of each model apart"
-        )
     try:
         actors = tuple(
             ShotActor(
@@ -199,6 +196,7 @@ def read_shot(source: Path | BinaryIO) -> Shot:
                 tuple(actor.bones),
                 _array(arrays, f"actor.{index}.world_from_bone"),
                 _array(arrays, f"actor.{index}.world_from_object"),
+                actor.model,
             )
             for index, actor in enumerate(header.actors)
         )

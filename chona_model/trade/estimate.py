@@ -19,7 +19,7 @@ import numpy as np
 from chona_model.actor import Actor
 from chona_model.formats.exr import FrameHeader, FrameLayers, write_frame
 from chona_model.formats.shot import Shot, ShotActor
-from chona_model.frame import render_frame
+from chona_model.frame import ShotRenderer
 from chona_model.presets import every_preset, find_preset
 from chona_model.settings import RenderSettings
 from chona_model.trade.cost import Cost, fit_cost
@@ -80,13 +80,14 @@ class ShotEstimate:
 
 
 def estimate(
-    actor: Actor, shot: Shot, indices: Sequence[int], trade: Mapping[str, Any] | None, preset: str,
+    actors: Sequence[Actor], shot: Shot, indices: Sequence[int], trade: Mapping[str, Any] | None, preset: str,
     seconds: float = SECONDS, started: float | None = None,
 ) -> ShotEstimate:  # fmt: skip
     """Estimates every preset's time for frames ``indices`` of a shot, the program's presets and the user's own.
 
     Args:
-        trade: the model's (``ModelHeader.trade``), or None.
+        actors: what renders each of the shot's actors.
+        trade: the model's (``ModelHeader.trade``), or None; also where there are several.
         preset: the calibration renders with; the estimate of it is the best.
         started: seconds that the process has taken until now, waiting included; None takes its processor's.
 
@@ -101,11 +102,11 @@ def estimate(
     costs = {
         name: Cost(known[name]["fixed_seconds"], known[name]["seconds_per_ray"])
         if name in known
-        else _time_small(actor, shot, chosen[len(chosen) // 2], settings[name])
+        else _time_small(actors, shot, chosen[len(chosen) // 2], settings[name])
         for name in names
     }
-    counted = {name: [_rays(actor, shot, index, settings[name]) for index in chosen] for name in names}
-    pace = _calibrate(actor, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
+    counted = {name: [_rays(actors, shot, index, settings[name]) for index in chosen] for name in names}
+    pace = _calibrate(actors, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
     factor, write, started = pace.factor, pace.write, (started + pace.first) * (1.0 + LEAVING)
     presets = {}
     for name in names:
@@ -116,8 +117,14 @@ def estimate(
     return ShotEstimate(presets, len(indices), factor if preset in known else None, started, write)
 
 
-def _rays(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> int:
-    return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for member in shot.actors)
+def _rays(actors: Sequence[Actor], shot: Shot, index: int, settings: RenderSettings) -> int:
+    members = zip(actors, shot.actors, strict=True)
+    return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for actor, member in members)
+
+
+def _forget_poses(actors: Sequence[Actor]) -> None:
+    for actor in actors:
+        actor.forget_poses()
 
 
 @dataclass(frozen=True)
@@ -134,13 +141,13 @@ class _Pace:
 
 
 def _calibrate(
-    actor: Actor, shot: Shot, chosen: Sequence[int], settings: RenderSettings, cost: Cost, rays: Sequence[int],
-    seconds: float,
+    actors: Sequence[Actor], shot: Shot, chosen: Sequence[int], settings: RenderSettings, cost: Cost,
+    rays: Sequence[int], seconds: float,
 ) -> _Pace:  # fmt: skip
     def render(place: int) -> tuple[FrameLayers, float]:
-        actor.forget_poses()
+        _forget_poses(actors)
         start = time.perf_counter()
-        layers = render_frame(actor, shot, chosen[place], settings)
+        layers = ShotRenderer(actors, shot, settings).render(chosen[place])
         return layers, time.perf_counter() - start
 
     # Any beginning of this order is spread over the shot (bits reversed), as few frames may fit the time.
@@ -164,14 +171,15 @@ def _calibrate(
     return _Pace(factor, median(times), more if more < COMPILED else 0.0)
 
 
-def _time_small(actor: Actor, shot: Shot, index: int, settings: RenderSettings) -> Cost:
+def _time_small(actors: Sequence[Actor], shot: Shot, index: int, settings: RenderSettings) -> Cost:
     """Costs of a preset nobody measured, from small pictures of one frame."""
     rays, seconds = [], []
     for scale in (SMALL[0], *SMALL):  # the first loads kernels and does not count
         camera = shot.camera(index).scaled(scale)
-        actor.forget_poses()
+        _forget_poses(actors)
         start = time.perf_counter()
-        pictures = [actor.render(member.pose(index), camera, settings) for member in shot.actors]
+        members = zip(actors, shot.actors, strict=True)
+        pictures = [actor.render(member.pose(index), camera, settings) for actor, member in members]
         seconds.append(time.perf_counter() - start)
         rays.append(sum(picture.rays for picture in pictures) * settings.supersampling**2)
     return fit_cost(rays[1:], seconds[1:])

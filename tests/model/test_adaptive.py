@@ -10,7 +10,7 @@ import pytest
 from tiny_models import trained
 
 from chona_model.actor import Actor, Picture
-from chona_model.adaptive import FINEST_STEP, RUNGS, BoundedActor, ladder, render_within
+from chona_model.adaptive import FINEST_STEP, RUNGS, Render, ladder, render_within
 from chona_model.camera import Camera
 from chona_model.data.dataset import View
 from chona_model.settings import RENDER_PRESETS
@@ -28,6 +28,11 @@ def scene() -> tuple[Actor, View, Picture]:
     return actor, view, actor.render(view.pose, view.camera, ladder(PREVIEW)[-1])
 
 
+def of(actor: Actor, view: View) -> Render:
+    """Renders a view of one actor."""
+    return lambda settings, pixels: actor.render(view.pose, view.camera, settings, pixels)
+
+
 def apart(one: Picture, other: Picture) -> np.ndarray:
     return np.maximum(np.abs(one.rgb - other.rgb).max(axis=-1), np.abs(one.alpha - other.alpha))
 
@@ -35,7 +40,7 @@ def apart(one: Picture, other: Picture) -> np.ndarray:
 @pytest.mark.parametrize("bound", [0.2, 0.05])
 def test_pixels_lie_within_the_bound_of_the_finest_settings(scene, bound: float) -> None:
     actor, view, finest = scene
-    picture, reached = render_within(actor, view.pose, view.camera, PREVIEW, bound)
+    picture, reached = render_within(of(actor, view), PREVIEW, bound)
     plain = actor.render(view.pose, view.camera, PREVIEW)
     assert apart(plain, finest).max() > bound, "nothing to refine: the test would pass without refining"
     assert (apart(picture, finest) > bound).sum() <= reached.unsettled
@@ -47,7 +52,7 @@ def test_pixels_lie_within_the_bound_of_the_finest_settings(scene, bound: float)
 
 def test_a_tighter_bound_comes_nearer_and_costs_more(scene) -> None:
     actor, view, finest = scene
-    results = [render_within(actor, view.pose, view.camera, PREVIEW, bound) for bound in (0.3, 0.1, 0.02)]
+    results = [render_within(of(actor, view), PREVIEW, bound) for bound in (0.3, 0.1, 0.02)]
     errors = [float(np.sqrt((apart(picture, finest) ** 2).mean())) for picture, _ in results]
     assert errors == sorted(errors, reverse=True)
     rays = [reached.rays for _, reached in results]
@@ -56,7 +61,7 @@ def test_a_tighter_bound_comes_nearer_and_costs_more(scene) -> None:
 
 def test_what_agrees_is_not_rendered_again(scene) -> None:
     actor, view, _ = scene
-    picture, reached = render_within(actor, view.pose, view.camera, PREVIEW, 1.0)
+    picture, reached = render_within(of(actor, view), PREVIEW, 1.0)
     second = actor.render(view.pose, view.camera, ladder(PREVIEW)[1])
     np.testing.assert_array_equal(picture.rgb, second.rgb)
     assert (reached.rungs, reached.refined, reached.unsettled) == (2, 0, 0)
@@ -64,7 +69,7 @@ def test_what_agrees_is_not_rendered_again(scene) -> None:
 
 def test_what_never_settles_is_counted(scene) -> None:
     actor, view, finest = scene
-    picture, reached = render_within(actor, view.pose, view.camera, PREVIEW, 1e-7)
+    picture, reached = render_within(of(actor, view), PREVIEW, 1e-7)
     assert reached.unsettled > 0 and reached.rungs == RUNGS
     assert reached.error == pytest.approx(
         apart(picture, actor.render(view.pose, view.camera, ladder(PREVIEW)[2])).max()
@@ -78,7 +83,7 @@ def test_an_empty_view_is_within_any_bound(scene) -> None:
     actor, view, _ = scene
     away = view.camera.world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
     camera = Camera(view.camera.intrinsics, away, view.camera.width, view.camera.height)
-    picture, reached = render_within(actor, view.pose, camera, PREVIEW, 0.01)
+    picture, reached = render_within(of(actor, replace(view, camera=camera)), PREVIEW, 0.01)
     assert picture.alpha.max() == 0 and (reached.error, reached.pixels, reached.rays) == (0.0, 0, 0)
 
 
@@ -91,14 +96,3 @@ def test_every_rung_is_at_least_as_fine_as_the_one_below(name: str) -> None:
         assert upper.supersampling >= lower.supersampling and upper.newton_steps > lower.newton_steps
         assert upper.exact.samples >= lower.exact.samples and upper.exact.inverse.starts >= lower.exact.inverse.starts
         assert upper.offset and upper.shading and upper.occupancy_cell == 1 and upper.occupancy_threshold == 0.0
-
-
-def test_a_bounded_actor_adds_its_views_up(scene) -> None:
-    actor, view, _ = scene
-    bounded = BoundedActor(actor, 0.1)
-    assert bounded.reached is None and bounded.persons == actor.persons
-    picture = bounded.render(view.pose, view.camera, PREVIEW)
-    one = bounded.reached
-    bounded.render(view.pose, view.camera, PREVIEW)
-    assert bounded.reached.pixels == 2 * one.pixels and bounded.reached.error == one.error
-    np.testing.assert_array_equal(picture.rgb, render_within(actor, view.pose, view.camera, PREVIEW, 0.1)[0].rgb)

@@ -13,7 +13,7 @@ from scene_files import PLACES, grid_file, moved, without_objects, write_poses
 from scipy.spatial.transform import Rotation
 from tiny_capture import SKELETON
 
-from chona_model import bake as module
+from chona_model import shot_models as module
 from chona_model.bake import bake
 from chona_model.bake_report import BakeReport
 from chona_model.camera import ORTHOGRAPHIC
@@ -107,7 +107,7 @@ def test_what_is_said_to_be_out_of_the_picture_is_in_no_pixel(tmp_path: Path, ki
     half = np.array([camera.width, camera.height]) / 2 / camera.intrinsics[0, 0] * (1 if kind == ORTHOGRAPHIC else 2.4)
     said = 0
     for index, place in enumerate(places):
-        unseen = Unseen("Sub01", "box01") in out_of_picture(shot, index, header)
+        unseen = Unseen("Sub01", "box01") in out_of_picture(shot, index, [header])
         matte = render_frame(actor, shot, index, RENDER_PRESETS["draft"]).object
         assert matte is not None
         assert not (unseen and matte.max() > 0)
@@ -122,14 +122,14 @@ def test_a_person_out_of_the_picture_is_said(tmp_path: Path, place: str) -> None
     pose, camera = dataset.views[0].pose, dataset.views[0].camera
     there = replace(pose, world_from_bone=moved(pose.world_from_bone, camera, PLACES[place]))
     shot = read_shot(write_poses(tmp_path / "walk.shot.npz", camera, [pose, there]))
-    assert [out_of_picture(shot, index, read_header(model)) for index in (0, 1)] == [[], [Unseen("Sub01", "Sub01")]]
+    assert [out_of_picture(shot, index, [read_header(model)]) for index in (0, 1)] == [[], [Unseen("Sub01", "Sub01")]]
 
 
 def test_what_a_shot_shows_is_what_its_actors_name(tmp_path: Path) -> None:
     _, dataset = grid_file()
     first, second = dataset.views[0].pose, without_objects(dataset.views[2].pose)
     shot = read_shot(write_poses(tmp_path / "walk.shot.npz", dataset.views[0].camera, [first], [second]))
-    assert shown_identities(shot) == (["Sub01", "Sub02"], ["box01"])
+    assert shown_identities(shot.actors) == (["Sub01", "Sub02"], ["box01"])
 
 
 def test_bones_at_rest_are_those_that_are_not_blended(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_bones_at_rest_are_those_that_are_not_blended(tmp_path: Path) -> None:
         poses.append(Pose("Sub01", (), world, np.zeros((0, 4, 4))))
     shot = read_shot(write_poses(tmp_path / "walk.shot.npz", dataset.views[0].camera, poses))
     for moving, pose in enumerate(poses):
-        assert bones_at_rest(shot, moving, header) == (2 - moving, 2)
+        assert bones_at_rest(shot, moving, [header]) == (2 - moving, 2)
         actor.model.rendering_matrices(actor.model.posed(pose))
         assert actor.model.volume(0).blended_bones == moving
 

@@ -10,7 +10,7 @@ from cli_files import write_capture, write_tiny_shot
 from tiny_models import trained
 
 from chona_model.formats.shot import Shot, read_shot
-from chona_model.frame import render_frame
+from chona_model.frame import ShotRenderer, render_frame
 from chona_model.grid_actor import GridActor
 from chona_model.presets import save_preset
 from chona_model.settings import PRESETS, RENDER_PRESETS
@@ -40,7 +40,7 @@ def test_presets_of_ones_own_are_estimated_and_broken_files_are_passed_over(
     monkeypatch.setenv("CHONA_PRESETS", str(tmp_path))
     save_preset("mine", RENDER_PRESETS["draft"])
     (tmp_path / "broken.json").write_text("{}")
-    found = estimate(actor, shot, range(FRAMES), TRADE, "draft", 0.05, started=1.5)
+    found = estimate([actor], shot, range(FRAMES), TRADE, "draft", 0.05, started=1.5)
     assert list(found.presets) == [*PRESETS, "mine"]
     assert found.presets["mine"].psnr is None and found.presets["mine"].seconds_per_frame > 0
     assert 1.5 <= found.start_seconds < 1.5 + module.COMPILED
@@ -55,15 +55,15 @@ def test_the_factor_is_that_of_the_frames_times(
     monkeypatch.setenv("CHONA_PRESETS", str(tmp_path))
     clock, rendered = [0.0], []
 
-    def slow(actor: GridActor, shot: Shot, index: int, *settings: object) -> object:
+    def slow(_: ShotRenderer, index: int) -> object:
         clock[0] += 0.1 if index < FRAMES // 2 else 1.0
         rendered.append(index)
         return layers
 
     layers = render_frame(actor, shot, 0, RENDER_PRESETS["draft"])
-    monkeypatch.setattr(module, "render_frame", slow)
+    monkeypatch.setattr(ShotRenderer, "render", slow)
     monkeypatch.setattr(module.time, "perf_counter", lambda: clock[0])
-    found = estimate(actor, shot, range(FRAMES), TRADE, "draft", 3.25, started=0.0)
+    found = estimate([actor], shot, range(FRAMES), TRADE, "draft", 3.25, started=0.0)
     assert set(rendered[1:3]) & set(range(FRAMES // 2)) and set(rendered[1:3]) & set(range(FRAMES // 2, FRAMES))
     once = rendered[1:]  # the first loads kernels
     assert sorted(once) == list(range(FRAMES)), "3.3 s are one round"
