@@ -24,6 +24,7 @@ COMMANDS = {
     "bake": commands.bake_command,
     "trade": commands.trade_command,
     "estimate": commands.estimate_command,
+    "stand-in": commands.stand_in_command,
     "serve": commands.serve_command,
     "info": commands.info_command,
     "check-data": commands.check_data_command,

@@ -101,6 +101,16 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     info = add("info", "show what a model file holds")
     info.add_argument("file", type=Path, metavar="FILE")
     info.add_argument("--json", action="store_true", help="as JSON")
+    stand_in = add("stand-in", "make meshes of a model's person and objects, for viewports and shadows", long=True)
+    stand_in.add_argument("--model", type=Path, required=True, metavar="FILE")
+    stand_in.add_argument("--person", metavar="P", help="default: none, the objects alone")
+    stand_in.add_argument("--objects", type=name_list, default=(), metavar="A,B,…", help="default: none")
+    stand_in.add_argument("--out", type=Path, required=True, metavar="FILE", help="NAME.npz, see docs/file-formats.md")
+    stand_in.add_argument(
+        "--voxel", type=number(0.001, 0.2), default=0.01, metavar="M", help="how fine the meshes are, metres"
+    )
+    stand_in.add_argument("--faces", type=whole(100, 10**8), metavar="N", help="triangles of each mesh at most")
+
 
     check = add("check-data", "show whether a capture is understood")
     check.add_argument("data", type=Path, metavar="DIR")

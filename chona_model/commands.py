@@ -11,6 +11,7 @@ import importlib
 import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 from chona_model import process
@@ -159,6 +160,25 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
 def serve_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     """Renders what comes in."""
     from chona_model.formats.model_file import read_header
+def stand_in_command(arguments: argparse.Namespace, progress: Progress) -> int:
+    """Makes meshes of a person and objects."""
+    from chona_model.formats.model_file import read_header
+
+    if arguments.person is None and not arguments.objects:
+        raise UsageError("neither --person nor --objects is given; name a person, objects, or both ('chona info FILE')")
+    if arguments.out.suffix != ".npz":
+        raise UsageError(f"--out is {arguments.out}, expected a file NAME.npz: give it that ending")
+    read_header(arguments.model)
+    out = writable_file(arguments.out, "--out")
+    device = resolve_device(arguments.device)
+    from chona_model.standin.make import StandInSettings, make_stand_in
+
+    progress.check()
+    settings = StandInSettings(arguments.voxel, arguments.faces)
+    made = make_stand_in(arguments.model, arguments.person, arguments.objects, out, settings, progress, device)
+    return finish(progress, f"{made.sentence()}; wrote {out}", out=str(out), **asdict(made))
+
+
 
     read_header(arguments.model)
     device = resolve_device(arguments.device)

@@ -18,7 +18,7 @@ FLOORS = (
     ("command_parts",),
     ("serve",),
     ("trade",),
-    ("bake", "train", "evaluate", "info", "doctor", "data_report"),
+    ("bake", "standin", "train", "evaluate", "info", "doctor", "data_report"),
     ("bake_report", "shot_models"),
     ("frame", "sight"),
     ("model_store", "presets"),
