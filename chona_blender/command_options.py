@@ -45,6 +45,7 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         ("run_folder", "run_folder"),
         ("method", "train_preset"),
         ("minutes", "minutes"),
+        ("steps", "train_steps"),
         ("resume", "resume"),
         *((name, name) for name in CAPTURE_OPTIONS),
     ):

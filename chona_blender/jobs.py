@@ -122,6 +122,13 @@ def running() -> Job | None:
     return board.current
 
 
+def busy() -> str:
+    """Why nothing else can start at present, as a button's tooltip says it; nothing when nothing runs."""
+    if board.current is None:
+        return ""
+    return f"Wait until the running job has ended, or cancel it: {board.current.title}"
+
+
 def duration(seconds: float) -> str:
     """`75` -> `1 min 15 s`."""
     whole = round(seconds)

@@ -5,6 +5,7 @@ Blender reads the annotations of property classes, so they are not postponed her
 
 import bpy
 
+from . import train_data
 from .actor_properties import RELATIVE_PATH
 
 FORMATS = (
@@ -21,6 +22,10 @@ TRAIN_PRESETS = (
 )
 
 
+def _data_chosen(self: "TrainSettings", _context: bpy.types.Context) -> None:
+    train_data.look(self.id_data)
+
+
 class TrainSettings:
     """What to learn from, how long, and where the model goes; and what to measure it on."""
 
@@ -29,12 +34,14 @@ class TrainSettings:
         description="Folder with the captures to learn from",
         subtype="DIR_PATH",
         options=RELATIVE_PATH,
+        update=_data_chosen,
     )
     data_format: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Format",
         description="Layout of the data folder",
         items=FORMATS,
         default="auto",
+        update=_data_chosen,
     )
     sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Sequences",
@@ -61,6 +68,28 @@ class TrainSettings:
         soft_max=600.0,
         subtype="UNSIGNED",
         precision=1,
+    )
+    train_steps: bpy.props.IntProperty(  # type: ignore[valid-type]
+        name="Steps",
+        description="How many steps to train, for the same model whenever it is trained; 0 goes by the time",
+        default=0,
+        min=0,
+    )
+    preview_every: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Picture Every",
+        description="Draw what the model shows beside the truth as often, in seconds; takes a tenth of the time at "
+        "most, and the model stays the same. 0 draws none",
+        default=10.0,
+        min=0.0,
+        soft_max=600.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+        precision=0,
+    )
+    trainings: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Trainings",
+        description="The list of trainings as it was when the file was saved",
+        options={"HIDDEN"},
     )
     measure_sequences: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Sequences",

@@ -1,15 +1,19 @@
-"""Training in the worker."""
+"""Training in the worker: into the list, one after the other, paused, resumed, and its model used."""
 
 from __future__ import annotations
 
 import bpy
 
-from .. import actions, jobs, model_cache
+from .. import jobs, model_cache, train_queue, train_rows
+from ..actions import absolute
 from ..errors import ChonaError
+from ..train_job import PAUSED, TrainJob
+from ..train_rows import CANCELLED, FAILED, RUNNING, WAITING
+from ..train_view import MODEL
 
 
-class CHONA_OT_train(jobs.JobOperator, bpy.types.Operator):
-    """Learn a model from the captures in the data folder; Blender stays usable meanwhile"""
+class CHONA_OT_train(bpy.types.Operator):
+    """Learn a model from the captures in the data folder; where a job runs already, after it. Blender stays usable"""
 
     bl_idname = "chona.train"
     bl_label = "Train"
@@ -17,50 +21,223 @@ class CHONA_OT_train(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if jobs.running() is not None:
-            cls.poll_message_set("Wait until the running job has ended, or cancel it")
-            return False
         if not context.scene.chona.data_folder:
             cls.poll_message_set("Choose the folder with the captures first")
             return False
         return True
 
-    def start(self, context: bpy.types.Context) -> jobs.Job:
-        self._scene = context.scene.name
-        return actions.start_train(context.scene)
-
-    def finish(self, _context: bpy.types.Context, _job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
-        if scene is None:
-            return "Trained"
-        model = actions.trained_model(scene)
-        if not scene.chona.model_path:
-            scene.chona.model_path = str(model)
-        else:
-            model_cache.refresh(scene.chona.model_path)
-        return f"Trained {model}"
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            train_queue.add(context.scene)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        return _go_on(self, context)
 
 
-class CHONA_OT_use_trained(bpy.types.Operator):
-    """Use the model that the last training left in the result folder"""
+class CHONA_OT_run_trainings(jobs.JobOperator, bpy.types.Operator):
+    """Start the first training that waits; the others follow"""
 
-    bl_idname = "chona.use_trained"
-    bl_label = "Use Trained Model"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_idname = "chona.run_trainings"
+    bl_label = "Start Waiting Trainings"
+    bl_options = {"INTERNAL"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.run_folder:
-            cls.poll_message_set("Set the result folder of the training first")
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        if train_queue.next_waiting() is None:
+            cls.poll_message_set("No training waits, or a job is running")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        model = actions.trained_model(context.scene)
-        if not model.is_file():
-            return jobs.fail(self, ChonaError(f"there is no model {model}; train first"))
-        context.scene.chona.model_path = str(model)
+        """Without a window: one training after the other, until none waits."""
+        result = {"CANCELLED"}
+        while train_queue.next_waiting() is not None:
+            result = super().execute(context)
+        return result
+
+    def start(self, _context: bpy.types.Context) -> TrainJob:
+        row = train_queue.next_waiting()
+        if row is None:
+            raise ChonaError("no training waits; add one with Train")
+        try:
+            return train_queue.start(row)
+        except ChonaError:
+            train_queue.wake()
+            raise
+
+    def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
+        model = job.run / MODEL if isinstance(job, TrainJob) else ""
+        settings = context.scene.chona
+        if not settings.model_path:
+            settings.model_path = str(model)
+        else:
+            model_cache.refresh(settings.model_path)
+        return f"Trained {model}"
+
+    def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
+        train_queue.wake()
+        if job.status == PAUSED:
+            self.report({"INFO"}, f"{job.title} is paused: its checkpoint is written, Resume goes on from it")
+            return {"FINISHED"}
+        return super()._ended(context, job)
+
+
+def _go_on(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+    """Start what waits, now or when the running job has ended."""
+    running = jobs.running()
+    if running is not None:
+        train_queue.wake()
+        operator.report({"INFO"}, f"Waits until the running job has ended: {running.title}")
+        return {"FINISHED"}
+    return bpy.ops.chona.run_trainings("INVOKE_DEFAULT" if context.window is not None else "EXEC_DEFAULT")
+
+
+class TrainingRow:
+    """Mixin of operators on the selected row of the list."""
+
+    @classmethod
+    def row(cls) -> train_rows.CHONA_PG_training | None:
+        """The selected row."""
+        return train_rows.selected()
+
+    @classmethod
+    def refuse(cls, words: str) -> bool:
+        """Says why the button is off, if anything speaks against it."""
+        if words:
+            cls.poll_message_set(words)  # type: ignore[attr-defined]
+        return not words
+
+
+class CHONA_OT_pause_training(TrainingRow, bpy.types.Operator):
+    """Stop the running training after its step, with a checkpoint; the trainings that wait go on waiting"""
+
+    bl_idname = "chona.pause_training"
+    bl_label = "Pause"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        job = jobs.running()
+        if not isinstance(job, TrainJob):
+            return cls.refuse("No training is running")
+        return cls.refuse("It is stopping already" if job.stopping else "")
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        job = jobs.running()
+        if isinstance(job, TrainJob):
+            job.pause()
         return {"FINISHED"}
 
 
-CLASSES = (CHONA_OT_train, CHONA_OT_use_trained)
+class CHONA_OT_resume_training(TrainingRow, bpy.types.Operator):
+    """Go on with the selected training from its last checkpoint, before those that wait"""
+
+    bl_idname = "chona.resume_training"
+    bl_label = "Resume"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        row = cls.row()
+        if row is None:
+            return cls.refuse("There is no training; add one with Train")
+        words = {RUNNING: "It is running", train_rows.DONE: "It is done; press Train to train anew"}
+        return cls.refuse(words.get(row.state, ""))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        row = self.row()
+        if row is not None:
+            train_queue.resume(row)
+        return _go_on(self, context)
+
+
+class CHONA_OT_cancel_training(TrainingRow, bpy.types.Operator):
+    """Stop the selected training after its step, and go on with the next; its checkpoint stays"""
+
+    bl_idname = "chona.cancel_training"
+    bl_label = "Cancel"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        row = cls.row()
+        stops = row is not None and row.state in {RUNNING, WAITING, train_rows.PAUSED}
+        return cls.refuse("" if stops else "The selected training neither runs nor waits")
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        row = self.row()
+        if row is not None:
+            train_queue.stop(row, jobs.running(), pause=False)
+        return {"FINISHED"}
+
+
+class CHONA_OT_move_training(TrainingRow, bpy.types.Operator):
+    """Move the selected training in the list; those that wait start from the top"""
+
+    bl_idname = "chona.move_training"
+    bl_label = "Move Training"
+    bl_options = {"INTERNAL"}
+
+    by: bpy.props.IntProperty(name="By", description="-1 moves it up, 1 down", default=-1)  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        return cls.refuse("" if len(train_rows.rows()) > 1 else "There is no other training")
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        row = self.row()
+        if row is not None:
+            train_queue.move(row, self.by)
+        return {"FINISHED"}
+
+
+class CHONA_OT_remove_training(TrainingRow, bpy.types.Operator):
+    """Take the selected training out of the list; its folder and its model stay"""
+
+    bl_idname = "chona.remove_training"
+    bl_label = "Remove Training"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        row = cls.row()
+        if row is None:
+            return cls.refuse("There is no training")
+        return cls.refuse("It is running: pause or cancel it first" if row.state == RUNNING else "")
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        row = self.row()
+        if row is not None:
+            train_queue.remove(row)
+        return {"FINISHED"}
+
+
+class CHONA_OT_use_trained(TrainingRow, bpy.types.Operator):
+    """Use the model of the selected training, or of the result folder, for the selected actor; makes one if need be"""
+
+    bl_idname = "chona.use_trained"
+    bl_label = "Use Model"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        nothing = cls.row() is None and not context.scene.chona.run_folder
+        return cls.refuse("Set the result folder of the training first" if nothing else "")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        row, settings = self.row(), context.scene.chona
+        model = train_queue.model_of(row) if row is not None else absolute(settings.run_folder) / MODEL
+        if not model.is_file():
+            failed = row is not None and row.state in {FAILED, CANCELLED}
+            remedy = "train again" if failed else "wait until it has ended, or pause it" if row else "train first"
+            return jobs.fail(self, ChonaError(f"there is no model {model} yet; {remedy}"))
+        settings.model_path = str(model)
+        model_cache.refresh(settings.model_path)
+        self.report({"INFO"}, f"{settings.actor.label} uses {model}")
+        return {"FINISHED"}
+
+
+CLASSES = (
+    CHONA_OT_train, CHONA_OT_run_trainings, CHONA_OT_pause_training, CHONA_OT_resume_training,
+    CHONA_OT_cancel_training, CHONA_OT_move_training, CHONA_OT_remove_training, CHONA_OT_use_trained,
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Captures from the scene, and a model from captures."""
+"""Captures from the scene."""
 
 from __future__ import annotations
 
@@ -34,26 +34,4 @@ class CHONA_PT_capture(Sidebar, bpy.types.Panel):
         self.layout.operator("chona.capture", icon="OUTLINER_OB_CAMERA")
 
 
-class CHONA_PT_train(Sidebar, bpy.types.Panel):
-    """A model from captures."""
-
-    bl_idname = "CHONA_PT_train"
-    bl_label = "Train"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        settings = context.scene.chona
-        column = self.columns()
-        column.prop(settings, "data_folder")
-        column.prop(settings, "data_format")
-        column.prop(settings, "sequences")
-        column.prop(settings, "run_folder")
-        column.prop(settings, "train_preset")
-        column.prop(settings, "minutes", text="Minutes")
-        column.prop(settings, "resume")
-        row = self.layout.row(align=True)
-        row.operator("chona.train", icon="PLAY")
-        row.operator("chona.use_trained", text="Use Result", icon="IMPORT")
-
-
-CLASSES = (CHONA_PT_capture, CHONA_PT_train)
+CLASSES = (CHONA_PT_capture,)

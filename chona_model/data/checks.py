@@ -18,6 +18,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View, load_pixels
 from chona_model.data.soundness import check_view
+from chona_model.progress import Progress
 from chona_model.skeleton import Skeleton
 
 SLACK = 0.02
@@ -84,21 +85,30 @@ class _Tally:
     tiles: list[Image.Image] = field(default_factory=list)
 
 
-def check_data(dataset: Dataset, out_dir: Path | None, views_per_sequence: int = 8) -> DataReport:
+def check_data(
+    dataset: Dataset, out_dir: Path | None, views_per_sequence: int = 8, progress: Progress | None = None
+) -> DataReport:
     """Opens some views of every sequence, draws and measures them.
 
     Args:
         out_dir: where ``SEQUENCE.png`` goes; None draws nothing.
-        views_per_sequence: how many views are opened, spread over frames and cameras.
+        views_per_sequence: how many views are opened, spread over frames and cameras; 0 opens no file.
+        progress: told of every sequence.
 
     Raises:
         OSError: a picture cannot be written.
+        Cancelled: the user wanted an end; pictures so far stay.
     """
     by_sequence: dict[str, list[View]] = defaultdict(list)
     for view in dataset.views:
         by_sequence[view.sequence].append(view)
     checks, warnings = [], [f"{count} x {kind} missing" for kind, count in sorted(dataset.gaps.items())]
-    for name, views in by_sequence.items():
+    if progress is not None:
+        progress.start("check-data", len(by_sequence), unit="sequence")
+    for number, (name, views) in enumerate(by_sequence.items()):
+        if progress is not None:
+            progress.check()
+            progress.update(number, name)
         chosen = _spread(views, views_per_sequence)
         tally = _Tally()
         for view in chosen:
@@ -110,7 +120,9 @@ def check_data(dataset: Dataset, out_dir: Path | None, views_per_sequence: int =
         if out_dir is not None and tally.tiles:
             sheet = out_dir / f"{name}.png"
             sheet.parent.mkdir(parents=True, exist_ok=True)
-            _sheet(tally.tiles).save(sheet)
+            unfinished = sheet.with_name(f".{name}.tmp.png")
+            _sheet(tally.tiles).save(unfinished)
+            unfinished.replace(sheet)
         joints, objects = (float(np.mean(values)) if values else None for values in (tally.joints, tally.objects))
         checks.append(SequenceCheck(name, len(views), len(chosen), joints, objects, sheet))
         warnings.extend(_doubts(checks[-1], tally))
@@ -147,8 +159,8 @@ def _doubts(check: SequenceCheck, tally: _Tally) -> Iterable[str]:
 
 def _spread(views: Sequence[View], count: int) -> list[View]:
     """Views at even steps, with other cameras from frame to frame."""
-    if len(views) <= count:
-        return list(views)
+    if len(views) <= count or count < 1:
+        return list(views[:count])
     return [views[round(index)] for index in np.linspace(0, len(views) - 1, count)]
 
 

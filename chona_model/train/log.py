@@ -24,7 +24,7 @@ class TrainingLog:
         if done > 0 and path.exists():
             # What was killed had gone on after its checkpoint, and may have left half a line.
             write_bytes(path, "".join(line + "\n" for line in kept_lines(path, done)).encode())
-        self._file = path.open("a" if done > 0 else "w", encoding="utf-8")
+        self._file = path.open("a" if done > 0 else "w", encoding="utf-8", buffering=1)
 
     def __enter__(self) -> Self:
         return self
@@ -35,12 +35,8 @@ class TrainingLog:
         self._file.close()
 
     def write(self, step: int, seconds: float, report: dict[str, float]) -> None:
-        """One line: steps done, seconds of training, and the step's report."""
+        """One line: steps done, seconds of training, and the step's report.  It can be read at once."""
         self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
-
-    def flush(self) -> None:
-        """Hands the lines so far to the system."""
-        self._file.flush()
 
 
 def kept_lines(path: Path, done: int) -> list[str]:

@@ -18,6 +18,8 @@ from chona_model.train.errors import TrainingError
 from chona_model.train.guard import Guard, GuardSettings, GuardState
 from chona_model.train.log import TrainingLog
 from chona_model.train.pose_summary import poses_seen
+from chona_model.train.preview import NAME as PREVIEW
+from chona_model.train.preview import Preview
 from chona_model.train.repeatable import repeatable
 
 METHODS = ("chona", "no-cil")
@@ -25,6 +27,9 @@ DEFAULT_STEPS = {"fast": 4000, "paper": 100_000}
 CHECKPOINT_SECONDS = 60.0
 LOG_EVERY = 20
 MODEL = "model.safetensors"
+STOP = "stop"
+"""A file of this name in the run's folder ends the training after the step it is in, as SIGTERM does; it is removed.
+Where a program cannot send signals, as on Windows, it stops a training so without losing a step."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,7 @@ class TrainRun:
         device, seed: as everywhere.
         resume: continue from the run's checkpoint.
         data_statement: what the model was trained on, in words; kept in the model file.
+        preview_every: seconds between two pictures ``OUT/preview.png``; None draws none.  The model is the same.
     """
 
     method: str = "chona"
@@ -49,6 +55,7 @@ class TrainRun:
     seed: int = 0
     resume: bool = False
     data_statement: str = ""
+    preview_every: float | None = None
 
 
 class Trainer(Protocol):
@@ -100,6 +107,7 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
         DatasetError, TrainingError, CheckpointError, OSError.
     """
     out.mkdir(parents=True, exist_ok=True)
+    (out / STOP).unlink(missing_ok=True)
     with repeatable(run.device):
         trainer, settings = make_trainer(dataset, run)
         identity = {
@@ -107,7 +115,10 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
             "persons": sorted(dataset.persons), "objects": sorted(dataset.objects), "views": len(dataset.views),
             "sequences": sorted({view.sequence for view in dataset.views}),
         }  # fmt: skip
-        loop = _Loop(trainer, out, run, identity)
+        if not run.resume:
+            (out / PREVIEW).unlink(missing_ok=True)
+        preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)
+        loop = _Loop(trainer, out, run, identity, preview)
         try:
             loop.run(progress)
         except TrainingError as error:
@@ -132,8 +143,11 @@ class _Loop:
         done, spent: steps and seconds of training so far; saved: step of the run's checkpoint, None without one.
     """
 
-    def __init__(self, trainer: Trainer, out: Path, run: TrainRun, identity: dict[str, Any]) -> None:
+    def __init__(
+        self, trainer: Trainer, out: Path, run: TrainRun, identity: dict[str, Any], preview: Preview | None
+    ) -> None:
         self.trainer, self.out, self.identity, self.resumes = trainer, out, identity, run.resume
+        self.preview = preview
         self.budget = run.minutes * 60.0 if run.minutes is not None else None
         self.steps = run.steps or (DEFAULT_STEPS[run.preset] if self.budget is None else 1)
         self.done, self.spent = 0, 0.0
@@ -155,13 +169,17 @@ class _Loop:
         with TrainingLog(self.out, self.done if self.resumes else 0) as log:
             began = time.perf_counter() - self.spent
             saved, warm = time.perf_counter(), self.done > 0
-            while not progress.cancelled_by_user and self.share < 1.0:
+            while not self._stopped(progress) and self.share < 1.0:
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
                 if not warm:
                     began, warm = time.perf_counter(), True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began
-                if self.done % LOG_EVERY == 0 or self.done == 1:
+                drawn = self._draw()
+                if drawn:
+                    began = time.perf_counter() - self.spent  # a picture is no training
+                    report = report | drawn
+                if self.done % LOG_EVERY == 0 or self.done == 1 or drawn:
                     log.write(self.done, self.spent, report)
                     self._tell(progress, report)
                 self.guard.observe(self.done, report)
@@ -169,13 +187,25 @@ class _Loop:
                     self.guard.look(self.done, self.trainer.tensors())
                 due = time.perf_counter() - saved > CHECKPOINT_SECONDS
                 if due and not self.guard.lost_what_it_had:
-                    log.flush()
                     self._save()
                     saved = time.perf_counter()
         if report:
             self._tell(progress, report)
         self.guard.close(self.done)
         self._save()
+
+    def _stopped(self, progress: Progress) -> bool:
+        """Whether the user wants an end: by a signal, or by the file ``STOP``."""
+        if (self.out / STOP).exists():
+            (self.out / STOP).unlink(missing_ok=True)
+            progress.cancel.request()
+        return progress.cancelled_by_user
+
+    def _draw(self) -> dict[str, float]:
+        """Draws a preview where one is due; its PSNR for the log."""
+        if self.preview is None or not self.preview.due():
+            return {}
+        return {"preview_psnr": round(self.preview.draw(self.trainer.actor()), 3)}
 
     @property
     def share(self) -> float:
@@ -204,4 +234,5 @@ class _Loop:
         return round(min(self.spent, self.budget), 2) if self.budget is not None else self.done
 
     def _tell(self, progress: Progress, report: dict[str, float]) -> None:
-        progress.update(self._shown(), f"step {self.done}", loss=report["loss"], psnr=report["psnr"])
+        shown = {name: report[name] for name in ("loss", "psnr", "preview_psnr") if name in report}
+        progress.update(self._shown(), f"step {self.done}", **shown)

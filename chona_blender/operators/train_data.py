@@ -1,0 +1,89 @@
+"""What the data folder holds, with pictures."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import image_window, jobs, train_data
+from ..errors import ChonaError
+from ..train_data import CheckDataJob
+
+
+class CHONA_OT_check_data(jobs.JobOperator, bpy.types.Operator):
+    """Draw skeletons, boxes and masks as they are understood over some images of every sequence, and measure them"""
+
+    bl_idname = "chona.check_data"
+    bl_label = "Check Data"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        words = jobs.busy() or ("" if context.scene.chona.data_folder else "Choose the folder with the captures first")
+        if words:
+            cls.poll_message_set(words)
+        return not words
+
+    def start(self, context: bpy.types.Context) -> CheckDataJob:
+        return train_data.start_check(context.scene)
+
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
+        if not isinstance(job, CheckDataJob):
+            return "Checked"
+        found = train_data.keep(job)
+        if found.problem:
+            raise ChonaError(found.problem)
+        if found.warnings:
+            return f"{found.headline}: {len(found.warnings)} warnings, the first: {found.warnings[0]}"
+        return f"{found.headline}: the data look right"
+
+
+class CHONA_OT_next_sheet(bpy.types.Operator):
+    """Show the picture of another sequence"""
+
+    bl_idname = "chona.next_sheet"
+    bl_label = "Another Sequence"
+    bl_options = {"INTERNAL"}
+
+    by: bpy.props.IntProperty(name="By", description="-1 shows the one before, 1 the next", default=1)  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if train_data.shown_sheet(context.scene) is None:
+            cls.poll_message_set("Press Check Data first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        shown = train_data.shown_sheet(context.scene)
+        if shown is not None:
+            try:
+                train_data.show_sheet(train_data.key_of(context.scene), shown[0] + self.by)
+            except ChonaError as error:
+                return jobs.fail(self, error)
+        return {"FINISHED"}
+
+
+class CHONA_OT_open_sheet(bpy.types.Operator):
+    """Show this picture at its full size in an image editor"""
+
+    bl_idname = "chona.open_sheet"
+    bl_label = "Open"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if train_data.shown_sheet(context.scene) is None:
+            cls.poll_message_set("Press Check Data first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        shown = train_data.shown_sheet(context.scene)
+        try:
+            image_window.show(context, shown[1].sheet if shown is not None else None)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        return {"FINISHED"}
+
+
+CLASSES = (CHONA_OT_check_data, CHONA_OT_next_sheet, CHONA_OT_open_sheet)
