@@ -41,10 +41,12 @@ class Source:
     format: str = "auto"
     sequences: tuple[str, ...] | None = None
     split: str | None = None
+    cameras: tuple[str, ...] | None = None
+    object_size: float | None = None
 
 
 class SourceAction(argparse.Action):
-    """Collects ``--data``, ``--format``, ``--sequences`` and ``--split`` in the order in which they were given."""
+    """Collects ``--data`` and the options that belong to one of several, in the order in which they were given."""
 
     def __call__(
         self,

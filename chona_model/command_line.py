@@ -135,6 +135,11 @@ def _add_sources(command: argparse.ArgumentParser, several: str) -> None:
     command.add_argument("--format", action=SourceAction, metavar="F", help="its layout (default: auto)")
     command.add_argument("--sequences", action=SourceAction, type=name_list, metavar="A,B,…", help="default: all")
     command.add_argument("--split", action=SourceAction, metavar="FILE:KEY", help="the sequences a JSON file lists")
+    command.add_argument("--cameras", action=SourceAction, type=name_list, metavar="A,B,…", help="default: all")
+    command.add_argument(
+        "--object-size", action=SourceAction, type=number(0, above=True), metavar="M",
+        help="metres of the longest side of scanned objects (co3d, transforms; default: 0.5)",
+    )  # fmt: skip
     command.add_argument("--image-scale", type=number(0, 1, above=True), default=1.0, metavar="S")
     command.set_defaults(sources=None)
     _add_body_model(command)

@@ -38,7 +38,7 @@ def open_sources(arguments: argparse.Namespace) -> tuple[Dataset, str]:
     for source in sources_of(arguments.sources):
         dataset = open_dataset(
             source.data, source.format, sequences=source.sequences, split=source.split,
-            body_model_dir=arguments.body_model,
+            body_model_dir=arguments.body_model, cameras=source.cameras, object_size=source.object_size,
         )  # fmt: skip
         names = list(dict.fromkeys(view.sequence for view in dataset.views))
         more = f" and {len(names) - NAMED_SEQUENCES} more" if len(names) > NAMED_SEQUENCES else ""

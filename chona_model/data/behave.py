@@ -33,6 +33,7 @@ from chona_model.camera import Camera, CameraError
 from chona_model.data.behave_objects import read_object_shape
 from chona_model.data.body_model import BodyModel, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
+from chona_model.data.lens import Lens
 from chona_model.data.restricted_pickle import read_pickle
 from chona_model.skeleton import SMPL
 
@@ -113,12 +114,12 @@ def read_behave(root: Path, sequences: Sequence[str] | None = None, body_model_d
         name: read_object_shape(root / "objects" / name, name, gaps)
         for name in dict.fromkeys(frame.sequence.object for frame in frames)
     }
-    cameras: dict[str, dict[int, Camera]] = {}
+    cameras: dict[str, dict[int, tuple[Camera, Lens | None]]] = {}
     views: list[View] = []
     for frame in frames:
         sequence = frame.sequence
         if sequence.name not in cameras:
-            cameras[sequence.name] = {kinect: _read_camera(root, sequence, kinect, gaps) for kinect in sequence.kinects}
+            cameras[sequence.name] = {kinect: _read_camera(root, sequence, kinect) for kinect in sequence.kinects}
         bones = models[sequence.gender].world_from_bone(reduced_pose(frame.pose), frame.betas, frame.trans)
         pose = Pose(sequence.person, (sequence.object,), UPRIGHT @ bones, UPRIGHT @ frame.world_from_object[None])
         views.extend(_views(frame, pose, cameras[sequence.name], gaps))
@@ -243,7 +244,8 @@ def _read_persons(frames: list[_Frame], models: dict[str, BodyModel]) -> dict[st
     return persons
 
 
-def _read_camera(root: Path, sequence: _Sequence, kinect: int, gaps: Counter[str]) -> Camera:
+def _read_camera(root: Path, sequence: _Sequence, kinect: int) -> tuple[Camera, Lens | None]:
+    """The camera, and its lens where that distorts."""
     intrinsics = _calibration_file(root, sequence, "intrinsic", f"{kinect}/calibration.json", "calibs/intrinsics")
     date = sequence.name.split("_")[0]
     pose = _calibration_file(root, sequence, "config", f"{kinect}/config.json", f"calibs/{date}/config")
@@ -257,8 +259,7 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int, gaps: Counter[str
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = np.array(rigid["rotation"], dtype=np.float64).reshape(3, 3)
         world_from_camera[:3, 3] = rigid["translation"]
-        if np.abs(color.get("opencv", [0.0])[4:]).max(initial=0.0) > 1e-9:
-            gaps["lens distortion (ignored)"] += 1
+        lens = Lens.opencv(np.array(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
         width, height = int(color["width"]), int(color["height"])
         camera = Camera(matrix, UPRIGHT @ world_from_camera, width, height)
     except (KeyError, TypeError, ValueError, CameraError) as error:
@@ -269,7 +270,7 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int, gaps: Counter[str
     rotation = world_from_camera[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise DatasetError(f"{pose}: the rotation is not one (to 0.001); expected camera-to-world, row by row")
-    return camera
+    return camera, lens
 
 
 def _calibration_file(root: Path, sequence: _Sequence, key: str, name: str, usual: str) -> Path:
@@ -285,15 +286,19 @@ def _calibration_file(root: Path, sequence: _Sequence, key: str, name: str, usua
     )
 
 
-def _views(frame: _Frame, pose: Pose, cameras: dict[int, Camera], gaps: Counter[str]) -> Iterable[View]:
-    for kinect, camera in cameras.items():
+def _views(
+    frame: _Frame, pose: Pose, cameras: dict[int, tuple[Camera, Lens | None]], gaps: Counter[str]
+) -> Iterable[View]:
+    for kinect, (camera, lens) in cameras.items():
         image = _first(frame.folder, f"k{kinect}", ("color.jpg", "color.png"))
         masks = [_first(frame.folder, f"k{kinect}", endings) for endings in (PERSON_MASKS, OBJECT_MASKS)]
         for kind, path in zip(("image", "person mask", "object mask"), (image, *masks), strict=True):
             if path is None:
                 gaps[kind] += 1
         if image is not None and None not in masks:
-            yield View(frame.sequence.name, frame.folder.name, f"k{kinect}", camera, pose, image, masks[0], masks[1])
+            yield View(
+                frame.sequence.name, frame.folder.name, f"k{kinect}", camera, pose, image, masks[0], masks[1], lens=lens
+            )
 
 
 def _first(folder: Path, stem: str, endings: tuple[str, ...]) -> Path | None:

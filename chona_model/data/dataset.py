@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from chona_model.camera import Camera
+from chona_model.data.lens import Lens
 from chona_model.skeleton import Skeleton
 
 
@@ -82,9 +83,32 @@ class Pose:
     world_from_object: np.ndarray
 
 
+MASK_THRESHOLD = 127
+"""Masks are 8-bit and may be JPEG (BEHAVE): anything above is inside."""
+
+
+@dataclass(frozen=True)
+class MaskRule:
+    """How a set's mask files are meant.
+
+    Attributes:
+        above: values above it are inside: 127 of 255, or 0 where values are labels.
+        alpha: whether the mask is a picture's alpha channel.
+    """
+
+    above: int = MASK_THRESHOLD
+    alpha: bool = False
+
+
 @dataclass(frozen=True)
 class View:
-    """One image of one frame. A missing mask means that part is not in the picture, or that the set lacks it."""
+    """One image of one frame. A missing mask means that part is not in the picture, or that the set lacks it.
+
+    Attributes:
+        camera: a pinhole; ``lens`` says what the file's pixels have besides.
+        ray_share: how many rays a training step draws of this image beside those of a BEHAVE image (paper: 2048 for
+            BEHAVE, 1024 for ZJU-MoCap, 512 for CO3D).
+    """
 
     sequence: str
     frame: str
@@ -94,6 +118,9 @@ class View:
     image: Path
     person_mask: Path | None = None
     object_mask: Path | None = None
+    masks: MaskRule = MaskRule()
+    lens: Lens | None = None
+    ray_share: float = 1.0
 
     @property
     def label(self) -> str:
@@ -138,10 +165,6 @@ class Pixels:
         return self.person | self.object
 
 
-MASK_THRESHOLD = 127
-"""Masks are 8-bit and may be JPEG (BEHAVE): anything above is inside."""
-
-
 WIDE_MODES = ("I", "F")
 """Pillow's modes of 16-bit, 32-bit and floating point samples."""
 
@@ -184,7 +207,9 @@ def load_pixels(view: View, scale: float = 1.0) -> Pixels:
             f"{view.image} is {rgb.shape[1]}x{rgb.shape[0]} pixels, its calibration says {size[1]}x{size[0]}; use the "
             "images that belong to this calibration"
         )
-    person, obj = (_read_mask(path, size) for path in (view.person_mask, view.object_mask))
+    person, obj = (_read_mask(path, size, view) for path in (view.person_mask, view.object_mask))
+    if view.lens is not None:
+        rgb = view.lens.undistort(rgb, view.camera.intrinsics)
     obj = obj & ~person
     colour = np.where((person | obj)[..., None], rgb, 0).astype(np.float32) / 255.0
     if scale == 1.0:
@@ -197,13 +222,16 @@ def load_pixels(view: View, scale: float = 1.0) -> Pixels:
     return Pixels(np.where(inside[..., None], colour, 0.0).astype(np.float32), person, inside & ~person)
 
 
-def _read_mask(path: Path | None, size: tuple[int, int]) -> np.ndarray:
+def _read_mask(path: Path | None, size: tuple[int, int], view: View) -> np.ndarray:
     if path is None:
         return np.zeros(size, dtype=bool)
-    mask = read_image(path, "L")
+    mask = read_image(path, "RGBA")[..., 3] if view.masks.alpha else read_image(path, "L")
     if mask.shape != size:
         raise DatasetError(f"{path} is {mask.shape[1]}x{mask.shape[0]} pixels, its image {size[1]}x{size[0]}")
-    return mask > MASK_THRESHOLD
+    inside = mask > view.masks.above
+    if view.lens is None:
+        return inside
+    return view.lens.undistort(inside.astype(np.uint8), view.camera.intrinsics, order=0) > 0
 
 
 def _shrink(channel: np.ndarray, camera: Camera) -> np.ndarray:

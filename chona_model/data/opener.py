@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from chona_model.data.behave import data_root, read_behave
 from chona_model.data.blender_capture import read_blender_capture
+from chona_model.data.co3d import category_folders, read_co3d
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person
 from chona_model.data.splits import read_split
+from chona_model.data.transforms import PATTERN, read_transforms
+from chona_model.data.zju_mocap import read_zju_mocap, subject_folders
 
-FORMATS = ("behave", "blender")
-LATER_FORMATS = ("zju_mocap", "co3d", "transforms")
-"""Named on the command line; their readers are not part of this version."""
+FORMATS = ("behave", "zju_mocap", "co3d", "transforms", "blender")
+SCANS = ("co3d", "transforms")
+"""Formats of static objects without a scale of their own."""
 
 SAME_BODY = 0.02
 """Metres that the joints of one person may differ between captures (fits of other frames have other mean shapes)."""
@@ -28,15 +32,19 @@ def open_dataset(
     sequences: Sequence[str] | None = None,
     split: str | None = None,
     body_model_dir: Path | None = None,
+    cameras: Sequence[str] | None = None,
+    object_size: float | None = None,
 ) -> Dataset:
     """Reads a capture.
 
     Args:
         root: its folder.
-        format: ``behave``, ``blender``, or ``auto`` to guess by what lies in the folder.
+        format: one of ``FORMATS``, or ``auto`` to guess by what lies in the folder.
         sequences: names, or ``SEQUENCE/FRAME``; all when None.
         split: ``FILE:KEY`` instead of ``sequences``; a FILE that does not exist is looked up in ``root`` and beside it.
         body_model_dir: SMPL-H files for readers that need them.
+        cameras: names of the cameras to use; all when None.
+        object_size: metres of the longest side of scanned objects (CO3D, transforms), whose scale is arbitrary.
 
     Raises:
         DatasetError: what was found, what was expected, what to do.
@@ -45,21 +53,44 @@ def open_dataset(
         raise DatasetError(f"there is no folder {root}; expected one with a capture")
     if sequences is not None and split is not None:
         raise DatasetError("both sequences and a split are given; name the views by one of the two")
-    kind = _guess(root) if format == "auto" else format
-    if kind in LATER_FORMATS:
-        raise DatasetError(f"the reader of '{kind}' is not part of this version; it reads {' and '.join(FORMATS)}")
+    kind = guess_format(root) if format == "auto" else format
     if kind not in FORMATS:
-        raise DatasetError(f"the format is '{kind}', expected one of auto, {', '.join((*FORMATS, *LATER_FORMATS))}")
+        raise DatasetError(f"the format is '{kind}', expected one of auto, {', '.join(FORMATS)}")
+    if object_size is not None and kind not in SCANS:
+        raise DatasetError(f"an object's size is given for a capture of kind {kind}, whose objects have their own size")
     if split is not None:
         sequences = read_split(_located(split, root))
     if sequences is not None and not sequences:
         raise DatasetError("the list of sequences is empty; name at least one, or none of this to use all")
-    if kind == "behave":
-        return read_behave(root, sequences, body_model_dir)
-    return read_blender_capture(root, sequences)
+    match kind:
+        case "behave":
+            dataset = read_behave(root, sequences, body_model_dir)
+        case "zju_mocap":
+            return read_zju_mocap(root, sequences, body_model_dir, cameras)
+        case "co3d":
+            dataset = read_co3d(root, sequences, object_size)
+        case "transforms":
+            dataset = read_transforms(root, sequences, object_size)
+        case _:
+            dataset = read_blender_capture(root, sequences)
+    return dataset if cameras is None else _seen_by(dataset, cameras)
 
 
-def _guess(root: Path) -> str:
+def _seen_by(dataset: Dataset, cameras: Sequence[str]) -> Dataset:
+    """Views of some cameras alone."""
+    known = list(dict.fromkeys(view.camera_name for view in dataset.views))
+    unknown = next((name for name in cameras if name not in known), None)
+    if unknown is not None:
+        raise DatasetError(f"there is no camera '{unknown}' in the capture; it has {', '.join(known)}")
+    return replace(dataset, views=tuple(view for view in dataset.views if view.camera_name in cameras))
+
+
+def guess_format(root: Path) -> str:
+    """The layout of a capture, by what lies in its folder.
+
+    Raises:
+        DatasetError: nothing that is known lies there.
+    """
     if (root / "capture.json").is_file():
         return "blender"
     try:
@@ -67,13 +98,12 @@ def _guess(root: Path) -> str:
         return "behave"
     except DatasetError:
         pass
-    for kind, pattern in (
-        ("zju_mocap", "annots.npy"),
-        ("transforms", "transforms*.json"),
-        ("co3d", "*annotations.jgz"),
-    ):
-        if any(root.glob(pattern)) or any(root.glob(f"*/{pattern}")):
-            return kind
+    if subject_folders(root):
+        return "zju_mocap"
+    if category_folders(root):
+        return "co3d"
+    if any(root.glob(PATTERN)) or any(root.glob(f"*/{PATTERN}")):
+        return "transforms"
     raise DatasetError(
         f"{root} is no capture of a known layout; tried blender (capture.json), behave (sequences/*/info.json), "
         "zju_mocap (annots.npy), transforms (transforms*.json), co3d (*annotations.jgz): name the folder "

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import pickle
 from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -140,6 +141,32 @@ def read_pickle(path: Path, max_bytes: int = FIT_BYTES) -> Any:
     Raises:
         DatasetError: the file is missing, too large, damaged, or holds anything else; the message names the class.
     """
+    return _read(path, max_bytes, lambda file: _Unpickler(file, encoding="latin1").load())
+
+
+def read_object_npy(path: Path, max_bytes: int = FIT_BYTES) -> Any:
+    """What ``numpy.save`` kept of one Python object (ZJU-MoCap's ``annots.npy``): see ``read_pickle``."""
+    return _read(path, max_bytes, _unpacked_npy)
+
+
+def _unpacked_npy(file: BinaryIO) -> Any:
+    """The one Python object of a .npy; numpy's own reader would hand it to pickle."""
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise ValueError(f"a .npy of version {version}, expected 1.0")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    if shape != () or dtype != np.dtype(object):
+        raise ValueError(
+            f"an array of shape {shape} and type {dtype}, expected one Python object (numpy.save of a dict)"
+        )
+    holder = _Unpickler(file, encoding="latin1").load()
+    items = holder.state[4] if isinstance(holder, _Array) and isinstance(holder.state, tuple) else None
+    if not isinstance(items, list) or len(items) != 1:
+        raise _Refused("something else than one object in an array without dimensions")
+    return items[0]
+
+
+def _read(path: Path, max_bytes: int, load: Callable[[BinaryIO], Any]) -> Any:
     try:
         size = path.stat().st_size
         if size > max_bytes:
@@ -148,7 +175,7 @@ def read_pickle(path: Path, max_bytes: int = FIT_BYTES) -> Any:
                 "is the right one"
             )
         with path.open("rb") as file:
-            content = _Unpickler(file, encoding="latin1").load()
+            content = load(file)
         return _plain(content, {})
     except _Refused as error:
         raise DatasetError(

@@ -18,7 +18,8 @@ def read_split(text: str) -> tuple[str, ...]:
 
     KEY walks the file's objects, e.g. ``novel_pose.chairwood.train``.  What it leads to may be a list of sequences, a
     list of frames (``boxes.SEQUENCE.train``: the sequence is the key before), one frame (``{"sequence", "frame"}``),
-    one sequence, or the dotted key of another split in the same file.
+    one sequence, the dotted key of another split in the same file, or a set list of CO3D
+    (``set_lists_manyview_dev_0.json:train``).
 
     Raises:
         DatasetError: no such file or key (the message lists the keys there are), or no names under it.
@@ -64,6 +65,8 @@ def _selection(value: Any, names: list[str], where: str) -> tuple[str, ...]:
             f"the split {where} is not a list of sequences; {_keys(value)}, name one of them after a dot"
         )
     entries = [value] if isinstance(value, str) else value
+    if isinstance(entries, list):
+        entries = [_of_set_list(entry) for entry in entries]
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, str) for entry in entries):
         raise DatasetError(f"the split {where} holds {str(value)[:60]}, expected a list of names of sequences")
     if not all(_FRAME.fullmatch(entry) for entry in entries):
@@ -72,6 +75,13 @@ def _selection(value: Any, names: list[str], where: str) -> tuple[str, ...]:
     if sequence is None:
         raise DatasetError(f"the split {where} lists frames, but no part of its key names their sequence")
     return tuple(f"{sequence}/{entry}" for entry in entries)
+
+
+def _of_set_list(entry: Any) -> Any:
+    """``SEQUENCE/FRAME`` of an entry of CO3D's set lists, ``[sequence, frame number, path]``; others as they are."""
+    if isinstance(entry, list) and len(entry) == 3 and isinstance(entry[0], str) and isinstance(entry[1], int):
+        return f"{entry[0]}/{entry[1]}"
+    return entry
 
 
 def _keys(value: Any) -> str:

@@ -18,7 +18,7 @@ CENTRE = np.array([0.3, -0.2, 0.1])
 FX, CX, CY = 40.0, 15.5, 11.5
 
 
-def _write_body_model(folder: Path) -> None:
+def write_body_model(folder: Path, name: str = "SMPL_male.npz") -> None:
     """SMPL's joints in a row of small tetrahedra, one a bone."""
     folder.mkdir(parents=True, exist_ok=True)
     joints = np.random.default_rng(3).normal(size=(24, 3)) * 0.3
@@ -28,7 +28,7 @@ def _write_body_model(folder: Path) -> None:
     faces = np.concatenate([np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]) + 4 * bone for bone in range(24)])
     parents = np.array(SMPL_PARENTS, dtype=np.int64)
     np.savez(
-        folder / "SMPL_male.npz",
+        folder / name,
         v_template=vertices, f=faces, J_regressor=weights.T / 4, weights=weights, shapedirs=np.zeros((96, 3, 2)),
         kintree_table=np.stack([parents, np.arange(len(SMPL))]).astype(np.uint32).astype(np.int64),
     )  # fmt: skip
@@ -55,11 +55,12 @@ def write_fit() -> Callable[..., None]:
 def tiny_behave(tmp_path: Path) -> Path:
     """Root of a capture with one sequence, two frames and two Kinects."""
     root = tmp_path / "capture"
-    _write_body_model(root / "smplh")
+    write_body_model(root / "smplh")
     for kinect in (0, 1):
         for folder, name, content in (
             (f"calibs/intrinsics/{kinect}", "calibration.json",
-             {"color": {"fx": FX, "fy": FX, "cx": CX, "cy": CY, "width": 32, "height": 24, "opencv": [FX] * 4 + [0]}}),
+             {"color": {"fx": FX, "fy": FX, "cx": CX, "cy": CY, "width": 32, "height": 24,
+                        "opencv": [FX, FX, CX, CY, *[0.0] * 8]}}),
             (f"calibs/Date01/config/{kinect}", "config.json",
              {"rotation": np.eye(3).reshape(-1).tolist(), "translation": [0.1 * (1 - kinect), 0.0, 0.0]}),
         ):  # fmt: skip

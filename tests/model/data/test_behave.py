@@ -11,6 +11,7 @@ import pytest
 
 from chona_model.data.behave import UPRIGHT, read_behave
 from chona_model.data.dataset import DatasetError, load_pixels
+from chona_model.data.lens import Lens
 
 SEQUENCE = "Date01_Sub01_crate_lift"
 
@@ -89,12 +90,13 @@ def test_an_object_without_template_gets_the_default_box(tiny_behave: Path) -> N
     assert dataset.gaps == {"object template": 1}
 
 
-def test_lens_distortion_is_counted(tiny_behave: Path) -> None:
+def test_a_distorting_lens_is_read(tiny_behave: Path) -> None:
     path = tiny_behave / "calibs" / "intrinsics" / "0" / "calibration.json"
     content = json.loads(path.read_text())
     content["color"]["opencv"][4] = 0.3
     path.write_text(json.dumps(content))
-    assert read_behave(tiny_behave).gaps == {"lens distortion (ignored)": 1}
+    lenses = {view.camera_name: view.lens for view in read_behave(tiny_behave).views}
+    assert lenses == {"k0": Lens(k1=0.3), "k1": None}
 
 
 def test_a_missing_calibration_is_named(tiny_behave: Path) -> None:
