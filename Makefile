@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 DEV = $(PYTHON) scripts/dev.py
 
-.PHONY: env test demo bench lint extension
+.PHONY: env test demo bench lint docs reference extension
 env:            ## .venv with .venv/bin/chona
 	$(DEV) env
 test:           ## lint, types and all tests but slow ones
@@ -13,5 +13,9 @@ bench:          ## speed, and what it costs -> benchmarks/results; ARGS='--data 
 	$(DEV) bench $(ARGS)
 lint:           ## ruff and mypy
 	$(DEV) lint
+docs:           ## the manual -> site/; fails on a broken link
+	$(DEV) docs
+reference:      ## docs/reference, from the sources
+	$(DEV) reference
 extension:      ## dist/chona-VERSION.zip for Blender
 	$(DEV) extension

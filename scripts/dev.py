@@ -50,7 +50,7 @@ def make_environment(env: Path, sources: list[str], install: list[str]) -> None:
 def environment() -> None:
     """``.venv`` with ``chona`` and everything its tests need."""
     make_environment(
-        ENV, ["pyproject.toml", "constraints.txt"], ["--constraint", "constraints.txt", "--editable", ".[test]"]
+        ENV, ["pyproject.toml", "constraints.txt"], ["--constraint", "constraints.txt", "--editable", ".[test,docs]"]
     )
 
 
@@ -91,21 +91,43 @@ def bench(words: list[str]) -> None:
     run(program(ENV, "python"), "-m", "benchmarks", *words)
 
 
+def reference() -> None:
+    """``docs/reference``: every panel, setting, operator and command, from the sources."""
+    environment()
+    blender_environment()
+    folder = ROOT / "docs" / "reference"
+    run(os.environ.get("CHONA_BPY", "").split(os.pathsep)[0] or program(BLENDER_ENV, "python"),
+        "scripts/reference/addon_pages.py", folder)  # fmt: skip
+    run(program(ENV, "python"), "scripts/reference/model_pages.py", folder)
+
+
+def docs() -> None:
+    """``site``: the manual as pages; a broken link is an error."""
+    environment()
+    run(program(ENV, "python"), "-m", "mkdocs", "build", "--strict", "--quiet")
+
+
 def extension() -> None:
     """``dist/chona-VERSION.zip``, to be installed in Blender."""
     run(sys.executable, "scripts/build_extension.py", "--out", "dist")
 
 
+ACTIONS = {
+    "env": environment, "blender-env": blender_environment, "lint": lint, "docs": docs, "reference": reference,
+    "extension": extension,
+}  # fmt: skip
+WITH_WORDS = {"test": test, "demo": demo, "bench": bench}
+
+
 def main() -> None:
     """Reads the command and runs it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("command", choices=("env", "blender-env", "lint", "test", "demo", "bench", "extension"))
+    parser.add_argument("command", choices=(*ACTIONS, *WITH_WORDS))
     arguments, words = parser.parse_known_args()
-    actions = {"env": environment, "blender-env": blender_environment, "lint": lint, "extension": extension}
-    if arguments.command in actions:
-        actions[arguments.command]()
+    if arguments.command in ACTIONS:
+        ACTIONS[arguments.command]()
     else:
-        {"test": test, "demo": demo, "bench": bench}[arguments.command](words)
+        WITH_WORDS[arguments.command](words)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import blf
 import bpy
+
+UI_FONT = 0
+BESIDE_TEXT, LEAST_TEXT = 84.0, 80.0
+"""Pixels at scale 1: margins, a box and an icon beside a text; and the least width that is left for it."""
 
 
 class Sidebar:
@@ -23,25 +28,36 @@ class Sidebar:
 
 def wrapped(layout: bpy.types.UILayout, text: str, icon: str, context: bpy.types.Context | None) -> None:
     """A text over as many lines as the panel's width needs; labels do not wrap by themselves."""
-    width = 320.0 if context is None or context.region is None else float(context.region.width)
-    scale = bpy.context.preferences.system.ui_scale
-    most = max(int((width / scale - 70.0) / 6.0), 16)
-    lines, line = [], ""
-    for word in text.split():
-        part = word
-        while len(part) > most:  # paths have no spaces
-            if line:
-                lines.append(line)
-            lines.append(part[:most])
-            part, line = part[most:], ""
-        if len(line) + len(part) + 1 > most and line:
-            lines.append(line)
-            line = part
-        else:
-            line = f"{line} {part}".strip()
-    if line:
-        lines.append(line)
+    scale = bpy.context.preferences.system.ui_scale or 1.0  # 0 without a window
+    width = 320.0 * scale if context is None or context.region is None else float(context.region.width)
+    blf.size(UI_FONT, bpy.context.preferences.ui_styles[0].widget.points * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for index, each in enumerate(lines):
-        column.label(text=each, icon=icon if index == 0 else "BLANK1")
+    for index, line in enumerate(_lines(text, max(width - BESIDE_TEXT * scale, LEAST_TEXT * scale))):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1")
+
+
+def _lines(text: str, width: float) -> list[str]:
+    """A text broken at spaces, and inside words that are wider than a line: paths have no spaces."""
+    lines, line = [], ""
+    for word in text.split():
+        rest = word
+        longer = f"{line} {rest}" if line else rest
+        if _width(longer) <= width:
+            line = longer
+            continue
+        if line:
+            lines.append(line)
+        while _width(rest) > width and len(rest) > 1:
+            fitting = next(
+                count for count in range(len(rest) - 1, 0, -1) if count == 1 or _width(rest[:count]) <= width
+            )
+            lines.append(rest[:fitting])
+            rest = rest[fitting:]
+        line = rest
+    return [*lines, line] if line else lines
+
+
+def _width(text: str) -> float:
+    """Pixels of a text in the interface's font."""
+    return blf.dimensions(UI_FONT, text)[0]
