@@ -36,9 +36,12 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         command.set_defaults(run=commands_of[name])
         command.add_argument("--debug", action="store_true", help="show where an error happened")
         if long:
-            command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
+            add_progress(command)
             command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
         return command
+
+    def add_progress(command: argparse.ArgumentParser) -> None:
+        command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -50,6 +53,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="how many steps to train")
     train.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N")
     train.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
+    train.add_argument(
+        "--preview-every", type=number(0, above=True), metavar="S",
+        help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
+    )  # fmt: skip
 
     evaluate = add("evaluate", "measure a model on views it has not seen", long=True)
     evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")
@@ -116,6 +123,8 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     check.add_argument("data", type=Path, metavar="DIR")
     check.add_argument("--format", default="auto", metavar="F")
     check.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures of what was understood")
+    check.add_argument("--brief", action="store_true", help="only say what it holds, without opening an image")
+    add_progress(check)
     _add_body_model(check)
     check.add_argument("--json", type=Path, metavar="FILE", help="the measurements")
 

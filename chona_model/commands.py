@@ -22,6 +22,9 @@ from chona_model.passes import Passes
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
 
+VIEWS_CHECKED = 9
+"""Of every sequence by ``check-data``: a picture of three rows."""
+
 
 def train_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Learns a model."""
@@ -40,7 +43,7 @@ def train_command(arguments: argparse.Namespace, progress: Progress) -> int:
     run = TrainRun(
         method=arguments.method, preset=arguments.preset, minutes=arguments.minutes, steps=arguments.steps,
         image_scale=arguments.image_scale, device=device, seed=arguments.seed, resume=arguments.resume,
-        data_statement=statement,
+        data_statement=statement, preview_every=arguments.preview_every,
     )  # fmt: skip
     model = train(dataset, out, run, progress)
     return finish(progress, f"wrote {model}", model=str(model))
@@ -200,25 +203,31 @@ def info_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     return DONE
 
 
-def check_data_command(arguments: argparse.Namespace, _progress: Progress) -> int:
+def check_data_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Describes a capture."""
     from chona_model.data.checks import check_data
-    from chona_model.data.opener import open_dataset
-    from chona_model.data_report import to_json, to_text
+    from chona_model.data.opener import guess_format, open_dataset
+    from chona_model.data_report import to_fields, to_json, to_text
 
+    if arguments.brief and arguments.out is not None:
+        raise UsageError("--brief opens no image, so there is nothing to draw into --out; leave one of the two out")
     if arguments.out is not None:
         writable_folder(arguments.out, "--out")
     if arguments.json is not None:
         writable_file(arguments.json, "--json")
     dataset = open_dataset(arguments.data, arguments.format, body_model_dir=arguments.body_model)
-    report = check_data(dataset, arguments.out)
+    format = guess_format(arguments.data) if arguments.format == "auto" else arguments.format
+    report = check_data(dataset, arguments.out, 0 if arguments.brief else VIEWS_CHECKED, progress)
     if arguments.json is not None:
         from chona_model.formats.atomic import write_bytes
 
-        write_bytes(arguments.json, to_json(report).encode())
-    sys.stdout.write(to_text(report))
+        write_bytes(arguments.json, to_json(report, format).encode())
     # Gaps are ordinary; whatever else is warned of means that the data are damaged or misread.
-    return DONE if len(report.warnings) <= len(report.gaps) else FAILED
+    sound = len(report.warnings) <= len(report.gaps)
+    if progress.mode == "terminal":
+        sys.stdout.write(to_text(report, format))
+    progress.result(sound=sound, **to_fields(report, format))
+    return DONE if sound else FAILED
 
 
 def doctor_command(arguments: argparse.Namespace, _progress: Progress) -> int:
