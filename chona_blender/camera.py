@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from bpy.types import Depsgraph, Object, Scene
 
+from .blur import LensSample, sample_lens
 from .errors import ChonaError
 
 OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -52,12 +53,14 @@ class CameraSample:
         world_from_camera: [4, 4] rigid, OpenCV axes, metres.
         clip: [2] near and far along the camera axis, metres.
         kind: ``PERSP`` or ``ORTHO``.
+        lens: what depth of field there is.
     """
 
     intrinsics: np.ndarray
     world_from_camera: np.ndarray
     clip: np.ndarray
     kind: str
+    lens: LensSample
 
 
 def image_format(scene: Scene) -> ImageFormat:
@@ -177,4 +180,5 @@ def sample_camera(camera: Object, depsgraph: Depsgraph, image: ImageFormat) -> C
         raise ChonaError(
             f"Camera '{camera.name}' clips from {clip[0]:g} m to {clip[1]:g} m. Set its clip end beyond its clip start"
         )
-    return CameraSample(intrinsics, rigid_camera(camera, evaluated.matrix_world), clip, kind)
+    lens = sample_lens(evaluated, depsgraph)
+    return CameraSample(intrinsics, rigid_camera(camera, evaluated.matrix_world), clip, kind, lens)

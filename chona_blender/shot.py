@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 from bpy.types import Depsgraph, Object, Scene
 
-from .camera import ImageFormat, image_format
+from .blur import LensSample, SceneBlur
+from .camera import CameraSample, ImageFormat, image_format
 from .errors import ChonaError
 from .model_header import ModelHeader
 from .rig.cast import ActorPlan, Cast, cast, unique_labels
@@ -63,8 +65,12 @@ def sample_actors(
     *,
     limit: float = STRETCH_LIMIT,
     progress: Progress | None = None,
+    blur: SceneBlur | None = None,
 ) -> Shot:
     """Samples any number of actors and the scene's cameras in one pass; see ``sample_shot``.
+
+    Args:
+        blur: motion blur and depth of field to take along; None: frames are sharp.
 
     Raises:
         ChonaError: see ``sample_shot``; also two actors whose figures are scaled differently.
@@ -74,8 +80,11 @@ def sample_actors(
         raise ChonaError(f"The shot is called '{name}', which cannot start the name of a file. Choose another name")
     found = [cast(plan) for plan in plans]
     image = image_format(scene)
-    samples = sample_all(scene, [each.subject for each in found], frames=numbers, image=image, progress=progress)
-    return _shot(scene, found, samples, image, name, limit)
+    moments = (0.0, *(() if blur is None else blur.times))
+    samples = sample_all(
+        scene, [each.subject for each in found], frames=numbers, image=image, moments=moments, progress=progress
+    )
+    return _shot(scene, found, samples, image, name, limit, blur=blur)
 
 
 def sample_actors_now(
@@ -134,6 +143,7 @@ def _shot(
     name: str,
     limit: float,
     served: Path | None = None,
+    blur: SceneBlur | None = None,
 ) -> Shot:
     if not found:
         raise ChonaError("The shot has no actor. Choose a person, an object or both")
@@ -168,18 +178,55 @@ def _shot(
             for each, label, model in zip(found, labels, models, strict=True)
         ],
     }
+    moments = 1 if blur is None else 1 + len(blur.times)
+    own = slice(None, None, moments)
     arrays = {
-        "frames": samples[0].frames,
-        "camera.intrinsics": np.stack([camera.intrinsics for camera in cameras]),
-        "camera.world_from_camera": np.stack([camera.world_from_camera for camera in cameras]),
-        "camera.clip": np.stack([camera.clip for camera in cameras]),
+        "frames": samples[0].frames[own],
+        "camera.intrinsics": np.stack([camera.intrinsics for camera in cameras[own]]),
+        "camera.world_from_camera": np.stack([camera.world_from_camera for camera in cameras[own]]),
+        "camera.clip": np.stack([camera.clip for camera in cameras[own]]),
     }
     for index, pose in enumerate(poses):
-        arrays[f"actor.{index}.world_from_bone"] = pose.world_from_bone
-        arrays[f"actor.{index}.world_from_object"] = pose.world_from_object
+        arrays[f"actor.{index}.world_from_bone"] = pose.world_from_bone[own]
+        arrays[f"actor.{index}.world_from_object"] = pose.world_from_object[own]
+    if blur is not None:
+        arrays |= _blur_arrays(blur, poses, cameras, samples[0].frames)
     if scale != 1.0:
         arrays["world_scale"] = np.array(scale)
     return Shot(description, arrays, tuple(dropped for pose in poses for dropped in pose.dropped))
+
+
+def _blur_arrays(
+    blur: SceneBlur, poses: Sequence[RigidPose], cameras: Sequence[CameraSample], frames: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What the file holds besides where something can blur; of all moments of all frames, the frame's own first.
+
+    Raises:
+        ChonaError: a camera focuses on its own place.
+    """
+    moments, arrays = 1 + len(blur.times), {}
+
+    def open_shutter(array: np.ndarray) -> np.ndarray:
+        return array.reshape(-1, moments, *array.shape[1:])[:, 1:]
+
+    if moments > 1:
+        arrays["shutter.times"] = blur.times
+        arrays["shutter.intrinsics"] = open_shutter(np.stack([camera.intrinsics for camera in cameras]))
+        arrays["shutter.world_from_camera"] = open_shutter(np.stack([camera.world_from_camera for camera in cameras]))
+        for index, pose in enumerate(poses):
+            arrays[f"shutter.actor.{index}.world_from_bone"] = open_shutter(pose.world_from_bone)
+            arrays[f"shutter.actor.{index}.world_from_object"] = open_shutter(pose.world_from_object)
+    lenses = [camera.lens for camera in cameras[::moments]]
+    for lens, frame in zip(lenses, frames[::moments], strict=True):
+        if blur.lens and lens.radius > 0.0 and not lens.focus_distance > 0.0:
+            raise ChonaError(
+                f"The camera focuses on its own place in frame {frame}. Set its focus distance, or switch its depth of "
+                "field off"
+            )
+    if blur.lens and any(lens.radius > 0.0 for lens in lenses):
+        for field in fields(LensSample):
+            arrays[f"lens.{field.name}"] = np.array([getattr(lens, field.name) for lens in lenses], dtype=np.float64)
+    return {**arrays, "blur.samples": np.array(blur.samples, dtype=np.int64)} if arrays else {}
 
 
 def write_shot(

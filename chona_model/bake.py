@@ -8,14 +8,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
+from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
+from chona_model.formats.exr_structure import is_whole
 from chona_model.formats.shot import Shot, ShotError, read_shot
-from chona_model.frame import ShotRenderer
+from chona_model.formats.shot_blur import lens_arrays, shutter_arrays
+from chona_model.frame import ShotRenderer, matte_names
 from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -27,6 +31,7 @@ from chona_model.sight import bones_at_rest, out_of_picture
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
     device: str = "cpu", passes: Passes = DEFAULT_PASSES, max_error: float = 0.0,
+    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
@@ -41,27 +46,35 @@ def bake(
         preset: a name, or the path of a preset's file.
         passes: what frames have besides their colours.
         max_error: bound on colour and alpha, see ``adaptive.render_within``; 0 for none.
+        blur: motion blur and depth of field.
+        only_missing: leave every frame alone that is there and whole, of whatever model, pose and settings.
 
     Raises:
         SettingsError: there is no such preset.
-        ShotError: the shot is damaged, or a frame, model, person, object or bone in it is unknown.
+        ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
+            that it has not, or that comes with a bound.
         ModelFileError: a model cannot be loaded.  OSError: the folder cannot be written to.
     """
     content = read_shot(shot)
     models = find_models(content, model, shot.parent)
     chosen = choose_frames(content, frames)
-    settings, digest = find_preset(preset), models.digest()
+    settings, digest, blurred = find_preset(preset), models.digest(), blur.of(content)
+    if max_error and blurred != SHARP:
+        raise ShotError(
+            f"--max-error is {max_error:g}, but it bounds sharp frames and the shot '{content.name}' is blurred; raise "
+            "--blur-samples instead, or use --motion-blur off and --depth-of-field off"
+        )
     _check_writable(out)
     began = time.perf_counter()
-    done = FinishedFrames(content, settings, out, digest, passes, trust=not overwrite, max_error=max_error)
-    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error)
+    done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
+    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
     written = skipped = repeated = 0
     progress.start("bake", len(chosen), unit="frame")
     for index in chosen:
         if progress.cancelled_by_user:
             break
         path = done.path(index)
-        if done.is_finished(index):
+        if (only_missing and is_whole(path)) or done.is_finished(index):
             skipped += 1
         else:
             twin = done.twin(index)
@@ -74,9 +87,12 @@ def bake(
             else:
                 layers = source.render(index)
                 headers = models.of_actors
-                tally.rendered(out_of_picture(content, index, headers), bones_at_rest(content, index, headers))
+                # What is out of the picture at the frame's own time may be in it at another.
+                unseen = [] if blurred.motion else out_of_picture(content, index, headers)
+                tally.rendered(unseen, bones_at_rest(content, index, headers))
             seconds, number = time.perf_counter() - start, int(content.frames[index])
-            settled = json.dumps(asdict(settings) | ({"max_error": max_error} if max_error else {}))
+            more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
+            settled = json.dumps(asdict(settings) | more)
             write_frame(path, layers, FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number))
             done.add(index)
             written += 1
@@ -99,10 +115,10 @@ class FinishedFrames:
 
     def __init__(
         self, shot: Shot, settings: RenderSettings, out: Path, model_hash: str, passes: Passes, trust: bool,
-        max_error: float,
+        max_error: float, blur: Blur,
     ) -> None:  # fmt: skip
         self._shot, self._out, self._model, self._passes, self._trust = shot, out, model_hash, passes, trust
-        self.keys = [frame_hash(shot, index, settings, max_error) for index in range(len(shot))]
+        self.keys = [frame_hash(shot, index, settings, max_error, blur) for index in range(len(shot))]
         self._alike: dict[str, list[int]] = {}
         for index, key in enumerate(self.keys):
             self._alike.setdefault(key, []).append(index)
@@ -119,7 +135,9 @@ class FinishedFrames:
     def is_finished(self, index: int) -> bool:
         """Whether the file is there, whole, and what it should be."""
         trusted = self._trust or index in self._own
-        return trusted and is_finished(self.path(index), self._model, self.keys[index], self._passes)
+        return trusted and is_finished(
+            self.path(index), self._model, self.keys[index], self._passes, matte_names(self._shot)
+        )
 
     def twin(self, index: int) -> Path | None:
         """The file of a finished frame that shows the same; looked for only among frames of the same key."""
@@ -131,9 +149,10 @@ class _Source:
     """Renders frames, and loads what it takes when the first is asked for."""
 
     def __init__(
-        self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float
-    ) -> None:
-        self._models, self._shot, self._device = models, shot, device
+        self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float,
+        blur: Blur,
+    ) -> None:  # fmt: skip
+        self._models, self._shot, self._device, self._blur = models, shot, device, blur
         self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
         self._loaded: LoadedModels | None = None
@@ -143,7 +162,7 @@ class _Source:
         if self._renderer is None:
             self._loaded = self._models.load(self._shot, self._device)
             actors = self._loaded.actors
-            self._renderer = ShotRenderer(actors, self._shot, self._settings, self._passes, self._max_error)
+            self._renderer = ShotRenderer(actors, self._shot, self._settings, self._passes, self._max_error, self._blur)
         return self._renderer
 
     def render(self, index: int) -> FrameLayers:
@@ -162,18 +181,27 @@ class _Source:
         return tally.left_out(True, self._loaded.left, self._loaded.bytes_left, self._renderer.kept)
 
 
-def frame_hash(shot: Shot, index: int, settings: RenderSettings, max_error: float = 0.0) -> str:
+def _facts(blur: Blur) -> dict[str, Any]:
+    return {} if blur == SHARP else {"blur": asdict(blur)}
+
+
+def frame_hash(shot: Shot, index: int, settings: RenderSettings, max_error: float = 0.0, blur: Blur = SHARP) -> str:
     """SHA-256 over everything a frame's pixels depend on besides the models."""
-    digest = hashlib.sha256()
+    digest, blur = hashlib.sha256(), blur_of_frame(shot, index, blur)
     facts = {
         "size": [shot.width, shot.height], "kind": shot.camera_kind, "scale": shot.world_scale,
         "settings": asdict(settings), **({"max_error": max_error} if max_error else {}),
-        "actors": [[actor.person, list(actor.objects), list(actor.bones)] for actor in shot.actors],
+        **_facts(blur), "actors": [[actor.person, list(actor.objects), list(actor.bones)] for actor in shot.actors],
     }  # fmt: skip
     digest.update(json.dumps(facts, sort_keys=True).encode())
     arrays = [shot.intrinsics, shot.world_from_camera, shot.clip]
     for actor in shot.actors:
         arrays += [actor.world_from_bone, actor.world_from_object]
+    if blur.motion and shot.shutter is not None:
+        digest.update(shot.shutter.times.tobytes())
+        arrays += [array for name, array in shutter_arrays(shot.shutter).items() if name != "shutter.times"]
+    if blur.focus and shot.lens is not None:
+        arrays += list(lens_arrays(shot.lens).values())
     for array in arrays:
         digest.update(np.ascontiguousarray(array[index], dtype=np.float64).tobytes())
     return digest.hexdigest()

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,9 +49,52 @@ class Camera:
 
     def scaled(self, scale: float) -> Camera:
         """The same view on an image of ``round(size · scale)`` pixels, at least 1x1."""
-        width, height = max(1, round(self.width * scale)), max(1, round(self.height * scale))
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on an image of so many pixels."""
         stretch = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(stretch @ self.intrinsics, self.world_from_camera, width, height, self.kind)
+
+    def shifted(self, pixels: np.ndarray) -> Camera:
+        """The same view whose pixel (0, 0) is what was at ``pixels`` [2]: rays go through other points of pixels."""
+        intrinsics = self.intrinsics.copy()
+        intrinsics[:2, 2] -= pixels
+        return replace(self, intrinsics=intrinsics)
+
+    def through(self, point: np.ndarray, focus: float) -> Camera:
+        """The view from a point of the lens: what lies in focus stays where it is in the picture.
+
+        A perspective camera moves by ``point`` with a shifted principal point.  An orthographic one looks along the way
+        from ``point`` to where the axis meets the plane in focus: an oblique projection, written as a camera that is
+        turned that way, with a skew.
+
+        Args:
+            point: [2] metres right and down from the lens's centre; focus: metres along the axis to what is sharp.
+        """
+        if not np.any(point):
+            return self
+        across = np.array([point[0], point[1], 0.0])
+        placed = self.world_from_camera.copy()
+        if self.kind == PERSPECTIVE:
+            intrinsics = self.intrinsics.copy()
+            intrinsics[:2, 2] += intrinsics[:2, :2] @ point / focus
+            placed[:3, 3] += placed[:3, :3] @ across
+            return replace(self, intrinsics=intrinsics, world_from_camera=placed)
+        # Pixels are linear in points, and what lies along the view ray is on one pixel: u = A x with A d = 0.
+        towards = np.array([-point[0], -point[1], focus])
+        towards /= np.linalg.norm(towards)
+        linear = self.intrinsics[:2, :2] @ np.array(
+            [[1.0, 0.0, -towards[0] / towards[2]], [0.0, 1.0, -towards[1] / towards[2]]]
+        )
+        # RQ decomposition: rows of the turned camera's axes such that A is upper triangular in them.
+        down = linear[1] / np.linalg.norm(linear[1])
+        right = np.cross(down, towards)
+        placed[:3, :3] = placed[:3, :3] @ np.stack([right, down, towards], axis=1)
+        placed[:3, 3] += self.world_from_camera[:3, :3] @ across
+        intrinsics = self.intrinsics.copy()
+        intrinsics[:2, :2] = [[linear[0] @ right, linear[0] @ down], [0.0, linear[1] @ down]]
+        return replace(self, intrinsics=intrinsics, world_from_camera=placed)
 
     def project(self, points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [..., 2] and depths along the camera axis [...] of world points [..., 3].

@@ -16,6 +16,9 @@ PRECISIONS = ("float32", "float64")
 FIELD_PRECISIONS = ("own", "bfloat16")
 COVARIANCES = ("warped", "plain")
 ROOTS = ("network", "grid")
+BLURS = ("shot", "on", "off")
+"""What can be asked of a blur: as the shot has it, that it must have it, none."""
+MOST_BLUR_SAMPLES = 1024
 
 
 class SettingsError(ValueError):

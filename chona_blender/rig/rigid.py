@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,7 +99,8 @@ def rescale_camera(sample: CameraSample, scale: float) -> CameraSample:
     matrix[:3, 3] /= scale
     if sample.kind == "ORTHO":
         intrinsics[[0, 1], [0, 1]] *= scale
-    return CameraSample(intrinsics, matrix, sample.clip / scale, sample.kind)
+    lens = replace(sample.lens, focus_distance=sample.lens.focus_distance / scale, radius=sample.lens.radius / scale)
+    return CameraSample(intrinsics, matrix, sample.clip / scale, sample.kind, lens)
 
 
 def _homogeneous(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:

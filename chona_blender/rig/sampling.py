@@ -7,6 +7,7 @@ user's frame, selection and un-keyed edits stay as they are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ class Samples:
     """Blender's own matrices, as they are: they may scale and shear.
 
     Attributes:
-        frames: [F] int64.
+        frames: [F] int64; repeated where a frame was sampled at several moments.
         world_from_armature: [F, B, 4, 4] where each bone takes the armature's rest space in the world.
         world_from_object: [F, N, 4, 4] evaluated object matrices.
         cameras: F tuples of C cameras.
@@ -136,6 +137,7 @@ def sample_all(
     frames: Iterable[int],
     image: ImageFormat | None = None,
     cameras: Sequence[Object] | None = None,
+    moments: Sequence[float] = (0.0,),
     progress: Progress | None = None,
 ) -> list[Samples]:
     """Samples actors and cameras in one pass over the frames.  Not to be called while drawing.
@@ -146,9 +148,10 @@ def sample_all(
         scene: whose timing (and, with ``cameras`` None, whose camera and markers) count.
         image: the pixels cameras are sampled for; None samples no camera.
         cameras: C cameras; None takes the one the scene renders each frame with.
+        moments: M times at which every frame is sampled, frames from its own.
 
     Returns:
-        as many as subjects; cameras are the same in all.
+        as many as subjects, with all moments of a frame one after the other; cameras are the same in all.
 
     Raises:
         ChonaError: no frames, an armature that cannot be sampled, a camera that cannot be rendered.
@@ -164,18 +167,19 @@ def sample_all(
     readers = [_Reader.of(subject) for subject in subjects]
     with _frames(scene, linked) as advance:
         for index, number in enumerate(numbers):
-            depsgraph = advance(int(number))
-            for reader in readers:
-                reader.read(depsgraph)
-            rows.append(tuple(sample_camera(each, depsgraph, image) for each in chosen[index]) if image else ())
+            for moment in moments:
+                depsgraph = advance(float(number + moment))
+                for reader in readers:
+                    reader.read(depsgraph)
+                rows.append(tuple(sample_camera(each, depsgraph, image) for each in chosen[index]) if image else ())
             if progress is not None:
                 progress(index + 1, len(numbers), f"sampled frame {number}")
-    return [reader.samples(numbers, tuple(rows)) for reader in readers]
+    return [reader.samples(np.repeat(numbers, len(moments)), tuple(rows)) for reader in readers]
 
 
 @contextmanager
-def _frames(scene: Scene, linked: Sequence[Object]) -> Iterator[Callable[[int], Depsgraph]]:
-    """A function from a frame to a depsgraph in which ``linked`` stands as in that frame."""
+def _frames(scene: Scene, linked: Sequence[Object]) -> Iterator[Callable[[float], Depsgraph]]:
+    """A function from a time in frames to a depsgraph in which ``linked`` stands as it does then."""
     if simulated(scene, linked) is not None:
         layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
         for each in linked:
@@ -185,8 +189,9 @@ def _frames(scene: Scene, linked: Sequence[Object]) -> Iterator[Callable[[int], 
         return
     with evaluation_scene(scene, linked) as temporary:
 
-        def advance(number: int) -> Depsgraph:
-            temporary.frame_set(number)
+        def advance(time: float) -> Depsgraph:
+            whole = math.floor(time)
+            temporary.frame_set(whole, subframe=time - whole)
             return temporary.view_layers[0].depsgraph
 
         yield advance

@@ -6,6 +6,7 @@ is sampled hangs on one, the user's scene is played from the simulation's first 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
@@ -49,8 +50,10 @@ def _depends_on(item: Object) -> Iterator[Object | None]:
 
 
 @contextmanager
-def played(scene: Scene, kept: Iterable[Object]) -> Iterator[Callable[[int], Depsgraph]]:
-    """A function that plays the scene up to a frame, each not before the last, and gives its evaluated depsgraph.
+def played(scene: Scene, kept: Iterable[Object]) -> Iterator[Callable[[float], Depsgraph]]:
+    """A function that plays the scene up to a time in frames and gives its evaluated depsgraph.
+
+    Between frames, and at times before the last, the simulation stands as its cache has it.
 
     Afterwards the scene stands at its frame again, with un-keyed edits of the objects and bones ``kept``.
     """
@@ -59,14 +62,23 @@ def played(scene: Scene, kept: Iterable[Object]) -> Iterator[Callable[[int], Dep
     owners = [owner for each in kept for owner in (each, *(each.pose.bones if each.pose else ()))]
     before = [(owner, {name: tuple(getattr(owner, name)) for name in _CHANNELS}) for owner in owners]
     at = scene.rigidbody_world.point_cache.frame_start - 1
+    stands: float | None = None
 
-    def advance(number: int) -> Depsgraph:
+    def show(time: float) -> None:
+        nonlocal stands
+        whole = math.floor(time)
+        scene.frame_set(whole, subframe=time - whole)
+        stands = time
+
+    def advance(time: float) -> Depsgraph:
         nonlocal at
-        if number <= at:  # before the simulation, or the frame it stands at
-            scene.frame_set(number)
-        while at < number:
+        if at < math.ceil(time) and stands not in (None, at):
+            show(at)  # a simulation goes on from the frame it was played to
+        while at < math.ceil(time):
             at += 1
-            scene.frame_set(at)
+            show(at)
+        if stands != time:
+            show(time)
         return layer.depsgraph
 
     try:

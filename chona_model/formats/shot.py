@@ -18,17 +18,25 @@ import numpy as np
 from chona_model.camera import ORTHOGRAPHIC, PERSPECTIVE, Camera
 from chona_model.data.dataset import Pose
 from chona_model.formats.atomic import atomic_path
+from chona_model.formats.shot_blur import (
+    Lens,
+    Shutter,
+    check_lens,
+    check_shutter,
+    lens_arrays,
+    read_lens,
+    read_samples,
+    read_shutter,
+    shutter_arrays,
+)
+from chona_model.formats.shot_checks import ShotError, check_intrinsics, check_rigid, check_shape
 
 FORMAT = "chona-shot"
 VERSION = 1
-RIGID_TOLERANCE = 1e-4
-"""Largest entry of RᵀR − I and of the last row's error that still counts as rigid."""
 MAX_IMAGE_SIZE = 65536
 _RESERVED = frozenset('/\\:*?"<>|\0')
 
-
-class ShotError(ValueError):
-    """A shot that cannot be rendered: the message says what was found, what was expected and what to do."""
+__all__ = ["Lens", "Shot", "ShotActor", "ShotError", "Shutter", "read_shot", "write_shot", "write_shot_to"]
 
 
 class _Kind(msgspec.Struct):
@@ -101,6 +109,9 @@ class Shot:
         actors: at least one.
         world_scale: metres of the scene in one of the shot's; where the scene's figure is scaled, camera and poses are
             written at the model's own size, and depths are to be multiplied by this.
+        shutter: moments that a frame is blurred over; None: it is sharp.
+        lens: what is out of focus is blurred by; None: nothing is.
+        blur_samples: rays a pixel that the scene asks for where either blurs; None: it does not say.
 
     Raises:
         ShotError: anything of this does not hold; the message names the array, the actor, the bone and the frame.
@@ -117,6 +128,9 @@ class Shot:
     clip: np.ndarray
     actors: tuple[ShotActor, ...]
     world_scale: float = 1.0
+    shutter: Shutter | None = None
+    lens: Lens | None = None
+    blur_samples: int | None = None
 
     def __post_init__(self) -> None:
         _check_header(self)
@@ -124,6 +138,10 @@ class Shot:
         _check_cameras(self)
         for actor in self.actors:
             _check_actor(actor, self.frames)
+        if self.shutter is not None:
+            check_shutter(self.shutter, self.frames, self.actors)
+        if self.lens is not None:
+            check_lens(self.lens, self.frames)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -133,6 +151,24 @@ class Shot:
         return Camera(
             self.intrinsics[index], self.world_from_camera[index], self.width, self.height, kind=self.camera_kind
         )
+
+    def moment(self, index: int, time: int | None) -> tuple[list[Pose], Camera]:
+        """Every actor's pose, and the camera, of the frame at ``index``.
+
+        Args:
+            time: a position in ``shutter.times``; None: the frame's own time.
+        """
+        if time is None or self.shutter is None:
+            return [actor.pose(index) for actor in self.actors], self.camera(index)
+        own, place = self.shutter, (index, time)
+        poses = [
+            Pose(actor.person, actor.objects, bones[place], objects[place])
+            for actor, bones, objects in zip(self.actors, own.world_from_bone, own.world_from_object, strict=True)
+        ]
+        camera = Camera(
+            own.intrinsics[place], own.world_from_camera[place], self.width, self.height, kind=self.camera_kind
+        )
+        return poses, camera
 
 
 def write_shot(path: Path, shot: Shot) -> None:
@@ -169,6 +205,12 @@ def write_shot_to(stream: BinaryIO, shot: Shot) -> None:
     for index, actor in enumerate(shot.actors):
         arrays[f"actor.{index}.world_from_bone"] = actor.world_from_bone
         arrays[f"actor.{index}.world_from_object"] = actor.world_from_object
+    if shot.shutter is not None:
+        arrays |= shutter_arrays(shot.shutter)
+    if shot.lens is not None:
+        arrays |= lens_arrays(shot.lens)
+    if shot.blur_samples is not None:
+        arrays["blur.samples"] = np.array(shot.blur_samples, dtype=np.int64)
     np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
@@ -212,6 +254,9 @@ def read_shot(source: Path | BinaryIO) -> Shot:
             _array(arrays, "camera.clip"),
             actors,
             _scale(arrays),
+            read_shutter(arrays, len(actors)),
+            read_lens(arrays),
+            read_samples(arrays),
         )
     except ShotError as error:
         raise ShotError(f"{path}: {error}") from error
@@ -283,19 +328,12 @@ def _check_frames(frames: np.ndarray) -> None:
 
 def _check_cameras(shot: Shot) -> None:
     count = len(shot.frames)
-    _check_shape("camera.intrinsics", shot.intrinsics, (count, 3, 3))
-    _check_shape("camera.world_from_camera", shot.world_from_camera, (count, 4, 4))
-    _check_shape("camera.clip", shot.clip, (count, 2))
-    _check_rigid(shot.world_from_camera[:, None], shot.frames, ["the camera"])
-    for index, frame in enumerate(shot.frames):
-        matrix, (near, far) = shot.intrinsics[index], shot.clip[index]
-        if not np.isfinite(matrix).all():
-            raise ShotError(f"the camera's intrinsics in frame {frame} are not finite")
-        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or (matrix[2] != (0.0, 0.0, 1.0)).any() or matrix[1, 0] != 0:
-            raise ShotError(
-                f"the camera's intrinsics in frame {frame} are {matrix.tolist()}, expected positive focal lengths on "
-                "an upper triangular matrix with the last row 0, 0, 1"
-            )
+    check_shape("camera.intrinsics", shot.intrinsics, (count, 3, 3))
+    check_shape("camera.world_from_camera", shot.world_from_camera, (count, 4, 4))
+    check_shape("camera.clip", shot.clip, (count, 2))
+    check_rigid(shot.world_from_camera[:, None], shot.frames, ["the camera"])
+    check_intrinsics(shot.intrinsics, shot.frames)
+    for (near, far), frame in zip(shot.clip, shot.frames, strict=True):
         if not (np.isfinite(near) and np.isfinite(far) and near < far) or (
             near < 0 and shot.camera_kind == PERSPECTIVE
         ):
@@ -310,33 +348,7 @@ def _check_actor(actor: ShotActor, frames: np.ndarray) -> None:
     if len(set(actor.bones)) != len(actor.bones):
         raise ShotError(f"actor '{actor.name}' has a bone name twice; bone names must be unique")
     label = f"of actor '{actor.name}'"
-    _check_shape(f"world_from_bone {label}", actor.world_from_bone, (len(frames), len(actor.bones), 4, 4))
-    _check_shape(f"world_from_object {label}", actor.world_from_object, (len(frames), len(actor.objects), 4, 4))
-    _check_rigid(actor.world_from_bone, frames, [f"bone '{bone}' {label}" for bone in actor.bones])
-    _check_rigid(actor.world_from_object, frames, [f"object '{name}' {label}" for name in actor.objects])
-
-
-def _check_shape(name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
-    if array.shape != expected:
-        raise ShotError(f"{name} has the shape {array.shape}, expected {expected}")
-
-
-def _check_rigid(matrices: np.ndarray, frames: np.ndarray, names: list[str]) -> None:
-    """``matrices`` [F, K, 4, 4] against the names of the K things."""
-    finite = np.isfinite(matrices).all(axis=(-1, -2))
-    if not finite.all():
-        frame, item = np.argwhere(~finite)[0]
-        raise ShotError(f"{names[item]} in frame {frames[frame]} has a matrix that is not finite; check its animation")
-    rotation = matrices[..., :3, :3]
-    gram = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2), initial=0.0)
-    last = np.abs(matrices[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1, initial=0.0)
-    error = np.maximum(gram, last)
-    mirrored = np.linalg.det(rotation) < 0
-    wrong = (error > RIGID_TOLERANCE) | mirrored
-    if wrong.any():
-        frame, item = np.argwhere(wrong)[0]
-        cause = "is mirrored" if mirrored[frame, item] else f"is scaled or sheared (by {error[frame, item]:.3g})"
-        raise ShotError(
-            f"{names[item]} in frame {frames[frame]} {cause}, expected a rigid matrix to {RIGID_TOLERANCE:g}; apply "
-            "its scale in Blender"
-        )
+    check_shape(f"world_from_bone {label}", actor.world_from_bone, (len(frames), len(actor.bones), 4, 4))
+    check_shape(f"world_from_object {label}", actor.world_from_object, (len(frames), len(actor.objects), 4, 4))
+    check_rigid(actor.world_from_bone, frames, [f"bone '{bone}' {label}" for bone in actor.bones])
+    check_rigid(actor.world_from_object, frames, [f"object '{name}' {label}" for name in actor.objects])

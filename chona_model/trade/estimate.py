@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from chona_model.actor import Actor
+from chona_model.blur import SHARP, Blur, blur_of_frame, rays_of_pixel
 from chona_model.formats.exr import FrameHeader, FrameLayers, write_frame
 from chona_model.formats.shot import Shot, ShotActor
 from chona_model.frame import ShotRenderer
@@ -81,12 +82,13 @@ class ShotEstimate:
 
 def estimate(
     actors: Sequence[Actor], shot: Shot, indices: Sequence[int], trade: Mapping[str, Any] | None, preset: str,
-    seconds: float = SECONDS, started: float | None = None,
+    seconds: float = SECONDS, started: float | None = None, blur: Blur = SHARP,
 ) -> ShotEstimate:  # fmt: skip
     """Estimates every preset's time for frames ``indices`` of a shot, the program's presets and the user's own.
 
     Args:
         actors: what renders each of the shot's actors.
+        blur: of the bake.
         trade: the model's (``ModelHeader.trade``), or None; also where there are several.
         preset: the calibration renders with; the estimate of it is the best.
         started: seconds that the process has taken until now, waiting included; None takes its processor's.
@@ -105,8 +107,8 @@ def estimate(
         else _time_small(actors, shot, chosen[len(chosen) // 2], settings[name])
         for name in names
     }
-    counted = {name: [_rays(actors, shot, index, settings[name]) for index in chosen] for name in names}
-    pace = _calibrate(actors, shot, chosen, settings[preset], costs[preset], counted[preset], seconds)
+    counted = {name: [_rays(actors, shot, index, settings[name], blur) for index in chosen] for name in names}
+    pace = _calibrate(actors, shot, chosen, settings[preset], costs[preset], counted[preset], seconds, blur)
     factor, write, started = pace.factor, pace.write, (started + pace.first) * (1.0 + LEAVING)
     presets = {}
     for name in names:
@@ -117,9 +119,11 @@ def estimate(
     return ShotEstimate(presets, len(indices), factor if preset in known else None, started, write)
 
 
-def _rays(actors: Sequence[Actor], shot: Shot, index: int, settings: RenderSettings) -> int:
+def _rays(actors: Sequence[Actor], shot: Shot, index: int, settings: RenderSettings, blur: Blur) -> int:
     members = zip(actors, shot.actors, strict=True)
-    return sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for actor, member in members)
+    rays = sum(actor.count_rays(member.pose(index), shot.camera(index), settings) for actor, member in members)
+    of_pixel = settings.supersampling**2
+    return rays * rays_of_pixel(blur_of_frame(shot, index, blur), of_pixel) // of_pixel
 
 
 def _forget_poses(actors: Sequence[Actor]) -> None:
@@ -142,12 +146,12 @@ class _Pace:
 
 def _calibrate(
     actors: Sequence[Actor], shot: Shot, chosen: Sequence[int], settings: RenderSettings, cost: Cost,
-    rays: Sequence[int], seconds: float,
+    rays: Sequence[int], seconds: float, blur: Blur,
 ) -> _Pace:  # fmt: skip
     def render(place: int) -> tuple[FrameLayers, float]:
         _forget_poses(actors)
         start = time.perf_counter()
-        layers = ShotRenderer(actors, shot, settings).render(chosen[place])
+        layers = ShotRenderer(actors, shot, settings, blur=blur).render(chosen[place])
         return layers, time.perf_counter() - start
 
     # Any beginning of this order is spread over the shot (bits reversed), as few frames may fit the time.
