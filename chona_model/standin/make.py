@@ -21,7 +21,7 @@ from chona_model.standin.exact_part import ExactPart
 from chona_model.standin.file import PartMesh, StandIn, write_stand_in
 from chona_model.standin.grid_part import GridPart
 from chona_model.standin.part import Part
-from chona_model.standin.surface import OPACITY, clean, lattice_size, light_in, limited, measure
+from chona_model.standin.surface import OPACITY, clean, lattice_size, light_in, limited, measure, snap, snap_depths
 
 PERCENT = 100
 MEASURED = 0.6
@@ -153,13 +153,14 @@ def _mesh(
             f"{part.kind} '{part.name}' is nowhere so opaque that voxels of {settings.voxel:g} m show it; train the "
             "model longer, or give a larger --voxel"
         )
-    wanted = len(surface.vertices) * colour_samples()
+    wanted = len(surface.vertices) * (colour_samples() + len(snap_depths()))
     done[0] = 0.0
 
     def coloured(count: int) -> None:
         done[0] += count / wanted
         tell(MEASURED + (1.0 - MEASURED) * done[0], "colours")
 
+    surface = snap(part, surface, settings.voxel, coloured)
     rgb = colours(part, surface.vertices, surface.normals, used.voxel, coloured)
     bones, weights = strongest(part.weights(surface.vertices)) if part.kind == "person" else (None, None)
     mesh = PartMesh(
