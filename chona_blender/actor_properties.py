@@ -12,6 +12,7 @@ from . import model_cache
 from .errors import ChonaError
 from .part_properties import FOLLOWS, FOUND, MISSING, CHONA_PG_bone, CHONA_PG_object
 from .rig.mapping import FOLLOW, map_rig
+from .standin_properties import CHONA_PG_stand_in
 
 RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 ROOT_PATHS = (
@@ -132,6 +133,10 @@ class CHONA_PG_actor(bpy.types.PropertyGroup):
         name="Recognised As",
         description="Family of rigs that the armature was recognised as, and how many bones were found",
         options={"SKIP_SAVE"},
+    )
+
+    stand_in: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Stand-In", description="Meshes that show the actor while its rig is posed", type=CHONA_PG_stand_in
     )
 
     @property

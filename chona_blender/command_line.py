@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import bpy
 
-from . import preferences, presets, worker
+from . import preferences, presets, standin_command, worker
 from .train_properties import FORMATS, TRAIN_PRESETS
 
 Command = Callable[[bpy.types.Scene, argparse.Namespace], int]
@@ -65,13 +65,16 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
             help="save the file when done, under this name or its own",
         )
 
-    def shot(command: argparse.ArgumentParser) -> None:
+    def rigged(command: argparse.ArgumentParser) -> None:
         actor(command)
         command.add_argument("--armature", metavar="OBJECT", help="armature object that poses the person")
         command.add_argument(
             "--object", action="append", metavar="NAME=EMPTY",
             help="object of the model and what moves it; repeat for more",
         )  # fmt: skip
+
+    def shot(command: argparse.ArgumentParser) -> None:
+        rigged(command)
         command.add_argument("--frames", metavar="A-B[:STEP]", help="frames to bake (default: the settings')")
         command.add_argument("--preset", metavar="NAME", help=f"{', '.join(presets.OWN)}, or one of your own")
         python(command)
@@ -121,5 +124,11 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     one.add_argument("--minutes", type=float, metavar="M", help="how long")
     one.add_argument("--resume", action="store_const", const=True, help="go on from the last checkpoint")
 
+    def carried(command: argparse.ArgumentParser) -> None:
+        rigged(command)
+        python(command)
+        save(command)
+
+    standin_command.add_options(add, carried)
     python(add("check", "Say whether the worker can work, and what to do if not."))
     return parser

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import bpy
 
-from . import actions, capturing, compositing, jobs, measuring, preferences
+from . import actions, capturing, compositing, jobs, measuring, preferences, standin_command
 from .command_line import Command, WrongArguments, make_parser
 from .command_options import apply, chosen_scene
 from .errors import ChonaError
@@ -166,6 +166,7 @@ RUNS: dict[str, Command] = {
     "create-rig": create_rig,
     "capture": capture,
     "train": train,
+    **standin_command.RUNS,
     "check": check,
 }
 _registered: list[object] = []

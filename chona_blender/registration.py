@@ -21,20 +21,23 @@ from . import (
     preferences,
     presets,
     properties,
+    standin_properties,
     strip_view,
     worker,
 )
 from .jobs import board, remember_error
-from .operators import bake, capture, composite, costs, diagnose, preview, rig, train
+from .operators import bake, capture, composite, costs, diagnose, preview, rig, standin, train
 
 CLASSES: tuple[type, ...] = (
     part_properties.CHONA_PG_object,
     part_properties.CHONA_PG_bone,
+    *standin_properties.CLASSES,
     actor_properties.CHONA_PG_actor,
     properties.CHONA_PG_settings,
     preferences.CHONA_AP_preferences,
     *check_store.CLASSES,
     *rig.CLASSES,
+    *standin.CLASSES,
     *bake.CLASSES,
     *costs.CLASSES,
     *preview.CLASSES,

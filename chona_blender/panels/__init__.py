@@ -4,12 +4,13 @@ computed and no file is opened.
 
 from __future__ import annotations
 
-from . import bake, composite, costs, learn, model, rig, worker
+from . import bake, composite, costs, learn, model, rig, standin, worker
 from .worker import draw_worker
 
 CLASSES = (
     *model.CLASSES,
     *rig.CLASSES,
+    *standin.CLASSES,
     *bake.CLASSES,
     *costs.CLASSES,
     *composite.CLASSES,

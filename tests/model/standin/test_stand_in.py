@@ -1,4 +1,4 @@
-"""Stand-ins of small models of both kinds: known shapes, the renderer's colours, learned weights; files; the command."""
+"""Stand-ins of small models of both kinds: the renderer's colours, learned weights; files, commands."""
 
 from __future__ import annotations
 

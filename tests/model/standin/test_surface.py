@@ -24,7 +24,7 @@ def lattice(part: FormPart, smallest: float = 0.06, voxel: float = VOXEL):
 @pytest.mark.parametrize("inside", [30.0, 400.0])
 @pytest.mark.parametrize("voxel", [0.015, 0.02])
 def test_a_balls_surface_lies_where_light_has_come_so_far(inside: float, voxel: float, sharp: bool) -> None:
-    """Along the radius light falls as exp(−density · depth): the surface is ln(1 / LEVEL) / density below the ball's."""
+    """Along the radius light falls as exp(−density · depth): the surface is ln(1 / LEVEL) / density deep."""
     part = FormPart(ball(0.3), inside, sharp)
     surface = snap(part, extract(lattice(part, voxel=voxel)[0]), voxel, nothing)
     away = np.linalg.norm(surface.vertices, axis=1) - (0.3 - np.log(1.0 / LEVEL) / inside)

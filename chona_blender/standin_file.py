@@ -1,0 +1,108 @@
+"""Stand-ins that the worker wrote (docs/file-formats.md), with numpy alone."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from .errors import ChonaError
+
+FORMAT, VERSION = "chona-stand-in", 1
+MOST_BYTES = 1 << 30
+"""Of an array: more is taken for damage or an attack, and never asked of memory."""
+
+WEIGHT_SUM_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class PartMesh:
+    """The mesh of a person (canonical space: T-pose, y up, metres) or of an object (its own frame, metres).
+
+    Attributes:
+        kind: ``person`` or ``object``; name: of the identity.
+        vertices: [V, 3]; faces: [F, 3] counter-clockwise from outside.
+        colours: [V, 3] uint8 sRGB.
+        bones: [V, 4] model bones, −1 for none; weights: [V, 4]; both [V, 0] for an object.
+    """
+
+    kind: str
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+    bones: np.ndarray
+    weights: np.ndarray
+
+
+def read_stand_in(path: Path, bones: int) -> tuple[PartMesh, ...]:
+    """Reads and checks a stand-in's meshes.
+
+    Args:
+        bones: of the model's skeleton, B.
+
+    Raises:
+        ChonaError: missing, damaged, of another version, or with contents that contradict each other.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            header = json.loads(_array(archive, "header", np.uint8, (None,)).tobytes())
+            if header.get("format") != FORMAT or header.get("version") != VERSION:
+                raise ChonaError(
+                    f"{path} is a {header.get('format')!r} of version {header.get('version')}, expected a {FORMAT!r} "
+                    f"of version {VERSION}; install the CHONA extension again, so that add-on and worker match"
+                )
+            return tuple(_part(archive, index, each, bones) for index, each in enumerate(header["parts"]))
+    except (OSError, zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
+        raise ChonaError(
+            f"the stand-in {path} cannot be read ({type(error).__name__}: {error}); make it again"
+        ) from error
+
+
+def _part(archive: zipfile.ZipFile, index: int, described: dict[str, Any], bones: int) -> PartMesh:
+    count, triangles = int(described["vertices"]), int(described["faces"])
+
+    def array(name: str, kind: type, width: int, rows: int = count) -> np.ndarray:
+        return _array(archive, f"part.{index}.{name}", kind, (rows, width))
+
+    is_person = described["kind"] == "person"
+    part = PartMesh(
+        str(described["kind"]), str(described["name"]),
+        array("vertices", np.float32, 3).astype(np.float64), array("faces", np.int32, 3, triangles),
+        array("colours", np.uint8, 3),
+        array("bones", np.int16, 4) if is_person else np.zeros((count, 0), np.int16),
+        array("weights", np.float32, 4).astype(np.float64) if is_person else np.zeros((count, 0)),
+    )  # fmt: skip
+    if not np.isfinite(part.vertices).all() or not np.isfinite(part.weights).all():
+        raise ValueError(f"'{part.name}' has numbers that are not finite")
+    if triangles and not (part.faces.min() >= 0 and part.faces.max() < count):
+        raise ValueError(f"faces of '{part.name}' name vertices that are not there")
+    if is_person and count and not (part.bones.min() >= -1 and part.bones.max() < bones):
+        raise ValueError(f"'{part.name}' names bones beyond the skeleton's {bones}")
+    if is_person and np.abs(np.where(part.bones >= 0, part.weights, 0.0).sum(axis=1) - 1.0).max() > WEIGHT_SUM_ERROR:
+        raise ValueError(f"weights of '{part.name}' do not sum to one")
+    return part
+
+
+def _array(archive: zipfile.ZipFile, name: str, kind: type, shape: tuple[int | None, ...]) -> np.ndarray:
+    """An array whose size is known before any of it is read."""
+    with archive.open(f"{name}.npy") as file:
+        found, _, dtype = _npy_header(file)
+    fits = len(found) == len(shape) and all(want in (None, have) for want, have in zip(shape, found, strict=True))
+    if dtype != np.dtype(kind) or not fits:
+        raise ValueError(f"'{name}' is {dtype} {list(found)}, expected {np.dtype(kind)} {list(shape)}")
+    if int(np.prod(found, dtype=np.int64)) * dtype.itemsize > MOST_BYTES:
+        raise ValueError(f"'{name}' has {list(found)} numbers, more than {MOST_BYTES} bytes")
+    with archive.open(f"{name}.npy") as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise ValueError(f"an array of numpy's format {version}, expected (1, 0)")
+    return np.lib.format.read_array_header_1_0(file)
