@@ -6,17 +6,17 @@ on where they stopped: a frame's folder gets its name when all its images are th
 
 from __future__ import annotations
 
-import re
 import shutil
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bpy.types import Object, Scene
 
-from .camera import ImageFormat, camera_kind
+from .camera import ImageFormat
 from .capture_files import frame_folder, resume
 from .capture_person import object_extent, skeleton_of, write_person
 from .capture_render import (
@@ -27,7 +27,8 @@ from .capture_render import (
     render_still,
     write_grey_png,
 )
-from .capture_ring import ring_cameras
+from .capture_ring import Space, check_ring, cut_off, ring_cameras, ring_poses
+from .capture_settings import CaptureResult, CaptureSettings, camera_names, check_request
 from .errors import ChonaError
 from .rig.mapping import bone_mapping
 from .rig.rest_pose import RestPose, captured_rest_pose
@@ -39,67 +40,56 @@ SIZE_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
-class CaptureSettings:
-    """What is captured, and how well.
+class Cast:
+    """Who and what is captured: the armature, the meshes it moves, and the object with its frame (or neither)."""
 
-    Attributes:
-        folder: of the capture; several sequences may go into one.
-        person, object_name: identities; ``object_name`` None captures a person alone.
-        frames: scene frames.
-        sequence: name of the sequence, default ``<person>_<object>``.
-        cameras: camera objects of the scene; empty takes a ring of ``ring`` temporary ones.
-        ring: number of temporary cameras.
-        width, height: pixels.
-        samples, mask_samples: Cycles samples a pixel of colour and masks.
-        denoise: colour images.
-        device: ``CPU`` or ``GPU`` (as set up in Blender's preferences).
-        hide_scenery: renders only character, object and lights.
-        names, parents: skeleton to capture with; None takes the armature's deforming bones.
-        overrides: bone mapping, skeleton bone → armature bone.
-        axes: of the armature, see ``captured_rest_pose``.
-    """
-
-    folder: Path
-    person: str
-    object_name: str | None
-    frames: Sequence[int]
-    sequence: str | None = None
-    cameras: Sequence[Object] = ()
-    ring: int = 8
-    width: int = 384
-    height: int = 288
-    samples: int = 32
-    mask_samples: int = 16
-    denoise: bool = True
-    device: str = "CPU"
-    hide_scenery: bool = False
-    names: tuple[str, ...] | None = None
-    parents: tuple[int, ...] | None = None
-    overrides: dict[str, str] | None = None
-    axes: str = "AUTO"
-
-    @property
-    def sequence_name(self) -> str:
-        """The sequence's folder name."""
-        return self.sequence or "_".join([self.person, *([self.object_name] if self.object_name else [])])
+    armature: Object
+    character: Sequence[Object]
+    things: Sequence[Object]
+    frame: Object | None
 
 
 @dataclass(frozen=True)
-class CaptureResult:
-    """What ``capture_sequence`` did.
+class Performance:
+    """A sequence before it is rendered.
 
     Attributes:
-        folder: of the sequence.
-        rendered, skipped: numbers of frames.
-        cameras: names, as in the file names.
-        dropped: scale and shear that was dropped of the bones, as text, the worst first.
+        cast: who is captured; rest: the person's rest pose; frames: [F] scene frames.
+        cameras: objects; description: of ``sequence.json``; arrays: of ``poses.npz``.
+        dropped, warnings: see ``CaptureResult``.
     """
 
-    folder: Path
-    rendered: int
-    skipped: int
-    cameras: tuple[str, ...]
+    cast: Cast
+    rest: RestPose
+    frames: np.ndarray
+    cameras: Sequence[Object]
+    description: dict[str, Any]
+    arrays: dict[str, np.ndarray]
     dropped: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Two temporary scenes that render a performance: with the scene's light, and the masks."""
+
+    colour: Scene
+    masks: Scene
+
+    def set_frame(self, frame: int) -> None:
+        """Go to a frame."""
+        self.colour.frame_set(frame)
+        self.masks.frame_set(frame)
+
+    def render(self, camera: Object, stem: Path) -> None:
+        """Write ``STEM.color.png``, ``STEM.person_mask.png`` and ``STEM.object_mask.png``."""
+        render_still(self.colour, camera, stem.with_name(f"{stem.name}.color.png"))
+        both = stem.with_name(f"{stem.name}.masks.png")
+        render_still(self.masks, camera, both)
+        pixels = read_png(both)
+        write_grey_png(stem.with_name(f"{stem.name}.person_mask.png"), pixels[..., 0])
+        write_grey_png(stem.with_name(f"{stem.name}.object_mask.png"), pixels[..., 1])
+        both.unlink()
 
 
 def capture_sequence(
@@ -124,125 +114,103 @@ def capture_sequence(
     Raises:
         ChonaError: what is missing, cannot be sampled or contradicts what the folder already holds.
     """
-    _check_request(character_meshes, object_meshes, object_frame, settings)
-    names, parents = (settings.names, settings.parents) if settings.names else skeleton_of(check_armature(armature))
-    bones = list(bone_mapping(check_armature(armature), names, settings.overrides).values())
-    frames = [object_frame] if object_frame is not None else []
-    samples = sample(scene, armature, bones, frames, frames=settings.frames)
-    rest, pose = _rigid(armature, samples, names, settings)
-    objects = {}
-    if object_frame is not None:
-        _check_constant_size(samples, settings)
-        lower, upper = object_extent(scene, object_meshes, pose.world_from_object[0, 0], int(samples.frames[0]))
-        objects[settings.object_name] = {"lower": lower.tolist(), "upper": upper.tolist()}
+    cast = Cast(armature, character_meshes, object_meshes, object_frame)
     folder = Path(settings.folder) / "sequences" / settings.sequence_name
+    with performance(scene, cast, settings) as shown:
+        finished = resume(folder, shown.description, shown.arrays)
+        write_surface(scene, shown, Path(settings.folder) / "persons" / f"{settings.person}.npz")
+        missing = [int(frame) for frame in shown.frames if int(frame) not in finished]
+        count = len(shown.cameras)
+        done, total = (len(shown.frames) - len(missing)) * count, len(shown.frames) * count
+        if missing:
+            with stage(scene, shown, settings) as stands:
+                for frame in missing:
+                    partial = folder / f".{frame_folder(frame)}.partial"
+                    shutil.rmtree(partial, ignore_errors=True)
+                    partial.mkdir(parents=True)
+                    try:
+                        stands.set_frame(frame)
+                        for camera, name in zip(shown.cameras, shown.description["cameras"], strict=True):
+                            stands.render(camera, partial / name)
+                            done += 1
+                            if progress is not None:
+                                progress(done, total, f"{settings.sequence_name}, frame {frame}, {name}")
+                        partial.replace(folder / frame_folder(frame))
+                    finally:
+                        shutil.rmtree(partial, ignore_errors=True)
+    return CaptureResult(
+        folder, len(missing), len(shown.frames) - len(missing), tuple(shown.description["cameras"]), shown.dropped,
+        shown.warnings,
+    )  # fmt: skip
+
+
+@contextmanager
+def performance(scene: Scene, cast: Cast, settings: CaptureSettings) -> Iterator[Performance]:
+    """Samples everything that moves, and has the cameras ready while the block runs.
+
+    Raises:
+        ChonaError: see ``capture_sequence``.
+    """
+    check_request(cast.armature, cast.character, cast.things, cast.frame, settings)
+    rig = check_armature(cast.armature)
+    names, parents = (settings.names, settings.parents) if settings.names else skeleton_of(rig)
+    bones = list(bone_mapping(rig, names, settings.overrides).values())
+    samples = sample(scene, rig, bones, [cast.frame] if cast.frame is not None else [], frames=settings.frames)
+    rest, pose = _rigid(rig, samples, names, settings)
+    objects = {}
+    if cast.frame is not None:
+        _check_constant_size(samples, settings)
+        lower, upper = object_extent(scene, cast.things, pose.world_from_object[0, 0], int(samples.frames[0]))
+        objects[settings.object_name] = {"lower": lower.tolist(), "upper": upper.tolist()}
     with ExitStack() as stack:
-        cameras = list(settings.cameras)
+        cameras, warnings = list(settings.cameras), []
         if not cameras:
-            points = np.concatenate([pose.world_from_bone, pose.world_from_object], axis=1)[..., :3, 3].reshape(-1, 3)
-            cameras = stack.enter_context(ring_cameras(settings.ring, points, settings.width, settings.height))
-        arrays = _poses(scene, cameras, pose, samples, settings)
+            points = np.concatenate([pose.world_from_bone, pose.world_from_object], axis=1)[..., :3, 3]
+            space, size = Space.around(points), (settings.width, settings.height)
+            check_ring(settings.ring, space, points, samples.frames)
+            short = int(cut_off(ring_poses(settings.ring, space, *size), points, settings.ring.lens, *size).sum())
+            if short:
+                warnings.append(
+                    f"{short} of {settings.ring.cameras} cameras do not see all of the character in every frame; set a "
+                    "larger radius (0 fits it), or a shorter lens"
+                )
+            cameras = stack.enter_context(ring_cameras(settings.ring, space, *size))
         description = {
             "name": settings.sequence_name,
             "person": settings.person,
             "objects": list(objects),
-            "cameras": _camera_names(cameras),
+            "cameras": camera_names(cameras),
             "width": settings.width,
             "height": settings.height,
             "skeleton": {"names": list(names), "parents": list(parents or ())},
             "rest_joints": rest.canonical_joints.tolist(),
             "extents": objects,
         }
-        finished = resume(folder, description, arrays)
-        write_person(
-            Path(settings.folder) / "persons" / f"{settings.person}.npz",
-            scene, armature, character_meshes, rest=rest, frame=int(samples.frames[0]),
+        yield Performance(
+            cast, rest, samples.frames, cameras, description, _poses(scene, cameras, pose, samples, settings),
+            tuple(str(each) for each in pose.dropped if each.name in names), tuple(warnings),
         )  # fmt: skip
-        only = [*character_meshes, *object_meshes] if settings.hide_scenery else None
-        missing = [int(frame) for frame in samples.frames if int(frame) not in finished]
-        done, total = (len(samples.frames) - len(missing)) * len(cameras), len(samples.frames) * len(cameras)
-        size = {"width": settings.width, "height": settings.height, "device": settings.device, "only": only}
-        if missing:
-            stack.enter_context(no_depth_of_field(cameras))
-            colour = stack.enter_context(
-                colour_scene(scene, samples=settings.samples, denoise=settings.denoise, **size)
-            )
-            masks = stack.enter_context(
-                mask_scene(scene, character_meshes, object_meshes, samples=settings.mask_samples, **size)
-            )
-        for frame in missing:
-            partial = folder / f".{frame_folder(frame)}.partial"
-            shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir(parents=True)
-            try:
-                colour.frame_set(frame)
-                masks.frame_set(frame)
-                for camera, name in zip(cameras, description["cameras"], strict=True):
-                    _render_images(colour, masks, camera, partial / name)
-                    done += 1
-                    if progress is not None:
-                        progress(done, total, f"{settings.sequence_name}, frame {frame}, {name}")
-                partial.replace(folder / frame_folder(frame))
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
-    return CaptureResult(
-        folder,
-        len(missing),
-        len(samples.frames) - len(missing),
-        tuple(description["cameras"]),
-        tuple(str(each) for each in pose.dropped if each.name in names),
-    )
 
 
-def _render_images(colour: Scene, masks: Scene, camera: Object, stem: Path) -> None:
-    render_still(colour, camera, stem.with_name(f"{stem.name}.color.png"))
-    both = stem.with_name(f"{stem.name}.masks.png")
-    render_still(masks, camera, both)
-    pixels = read_png(both)
-    write_grey_png(stem.with_name(f"{stem.name}.person_mask.png"), pixels[..., 0])
-    write_grey_png(stem.with_name(f"{stem.name}.object_mask.png"), pixels[..., 1])
-    both.unlink()
-
-
-def _check_request(
-    character: Sequence[Object], things: Sequence[Object], frame: Object | None, settings: CaptureSettings
-) -> None:
-    if not character:
-        raise ChonaError("No mesh of the character was given. Choose the meshes that the armature deforms")
-    if (settings.object_name is None) != (frame is None) or (frame is None) != (not things):
-        raise ChonaError(
-            "An object needs a name, meshes and a frame (an empty or a mesh); give all three, or none to capture the "
-            "person alone"
+@contextmanager
+def stage(scene: Scene, shown: Performance, settings: CaptureSettings) -> Iterator[Stage]:
+    """The scenes that render a performance; removed afterwards."""
+    cast = shown.cast
+    only = [*cast.character, *cast.things] if settings.hide_scenery else None
+    size = {"width": settings.width, "height": settings.height, "device": settings.device, "only": only}
+    with ExitStack() as stack:
+        stack.enter_context(no_depth_of_field(shown.cameras))
+        colour = stack.enter_context(colour_scene(scene, samples=settings.samples, denoise=settings.denoise, **size))
+        masks = stack.enter_context(
+            mask_scene(scene, cast.character, cast.things, samples=settings.mask_samples, **size)
         )
-    both = [each.name for each in things if each in list(character)]
-    if both:
-        raise ChonaError(f"Mesh '{both[0]}' is given as character and as object. Leave it out of one of them")
-    if not settings.cameras and settings.ring < 1:
-        raise ChonaError(f"A capture needs cameras, got none and a ring of {settings.ring}. Choose cameras or a ring")
-    for each in settings.cameras:
-        if camera_kind(each) != "PERSP":
-            raise ChonaError(
-                f"Camera '{each.name}' is orthographic; captures need perspective cameras. Change its type"
-            )
-    if min(settings.width, settings.height) < 1 or min(settings.samples, settings.mask_samples) < 1:
-        raise ChonaError("Image size and samples must be at least 1. Enter larger numbers")
-    for name in (settings.person, settings.object_name, settings.sequence_name):
-        if name is not None and name != _safe(name):
-            raise ChonaError(f"'{name}' cannot be a file name. Use letters, digits, '-', '_' and '.'")
-    if (settings.names is None) != (settings.parents is None):
-        raise ChonaError("A skeleton is given by names and parents together. Give both, or neither")
+        yield Stage(colour, masks)
 
 
-def _safe(name: str) -> str:
-    return re.sub(r"[^\w.\-]", "_", name).lstrip(".") or "_"
-
-
-def _camera_names(cameras: Sequence[Object]) -> list[str]:
-    names = [_safe(each.name) for each in cameras]
-    doubled = [name for name in names if names.count(name) > 1]
-    if doubled:
-        raise ChonaError(f"Two cameras would be called '{doubled[0]}' on disk. Rename one of them")
-    return names
+def write_surface(scene: Scene, shown: Performance, path: Path) -> None:
+    """Writes the person's surface."""
+    cast = shown.cast
+    write_person(path, scene, cast.armature, cast.character, rest=shown.rest, frame=int(shown.frames[0]))
 
 
 def _rigid(

@@ -31,48 +31,69 @@ def resume(folder: Path, description: dict[str, Any], arrays: dict[str, np.ndarr
     Raises:
         ChonaError: the folder holds a sequence with other cameras, sizes or identities.
     """
-    about, poses = folder / "sequence.json", folder / "poses.npz"
+    before = _earlier(folder, description)
     finished: set[int] = set()
-    if about.exists() and poses.exists():
-        old = json.loads(about.read_text(encoding="utf-8"))
-        for key in ("person", "objects", "cameras", "width", "height", "skeleton"):
-            if old[key] != description[key]:
-                raise ChonaError(
-                    f"'{folder}' already holds a sequence with other {key}. Choose another name for this sequence, or "
-                    "delete that folder"
-                )
-        with np.load(poses, allow_pickle=False) as file:
-            before = {name: file[name] for name in _FRAME_AXIS}
+    if before is not None:
+        finished = _holding(folder, before, arrays)
         arrays = _merge(folder, before, arrays, finished)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*.partial"):
         shutil.rmtree(stale)
-    write_npz(poses, arrays)
-    _write_json(about, description)
+    write_npz(folder / "poses.npz", arrays)
+    _write_json(folder / "sequence.json", description)
     return finished
 
 
-def _merge(
-    folder: Path, before: dict[str, np.ndarray], arrays: dict[str, np.ndarray], finished: set[int]
-) -> dict[str, np.ndarray]:
-    """New arrays with the finished frames of ``before`` that they lack; fills ``finished``, removes stale frames."""
-    new = arrays["frames"].tolist()
-    kept = []
+def finished_frames(folder: Path, description: dict[str, Any], arrays: dict[str, np.ndarray]) -> set[int]:
+    """As ``resume``, and nothing is written."""
+    before = _earlier(folder, description)
+    return set() if before is None else _holding(folder, before, arrays)
+
+
+def _earlier(folder: Path, description: dict[str, Any]) -> dict[str, np.ndarray] | None:
+    """The poses of what the folder holds already, which must be the same sequence; None where there is nothing."""
+    about, poses = folder / "sequence.json", folder / "poses.npz"
+    if not (about.exists() and poses.exists()):
+        return None
+    old = json.loads(about.read_text(encoding="utf-8"))
+    for key in ("person", "objects", "cameras", "width", "height", "skeleton"):
+        if old[key] != description[key]:
+            raise ChonaError(
+                f"'{folder}' already holds a sequence with other {key}. Choose another name for this sequence, or "
+                "delete that folder"
+            )
+    with np.load(poses, allow_pickle=False) as file:
+        return {name: file[name] for name in _FRAME_AXIS}
+
+
+def _holding(folder: Path, before: dict[str, np.ndarray], arrays: dict[str, np.ndarray]) -> set[int]:
+    """Finished frames whose poses and cameras are as they were."""
+    new, limit = arrays["frames"].tolist(), POSE_TOLERANCE * max(1.0, np.abs(arrays["intrinsics"]).max() / 1000.0)
+    holding = set()
     for index, frame in enumerate(before["frames"].tolist()):
-        path = folder / frame_folder(frame)
-        if not path.is_dir():
-            continue
-        if frame not in new:
-            kept.append(index)
+        if frame not in new or not (folder / frame_folder(frame)).is_dir():
             continue
         here = new.index(frame)
         change = max(
             np.abs(np.take(before[name], index, axis) - np.take(arrays[name], here, axis)).max(initial=0.0)
             for name, axis in _FRAME_AXIS.items()
         )
-        if change <= POSE_TOLERANCE * max(1.0, np.abs(arrays["intrinsics"]).max() / 1000.0):
-            finished.add(frame)
-        else:
+        if change <= limit:
+            holding.add(frame)
+    return holding
+
+
+def _merge(
+    folder: Path, before: dict[str, np.ndarray], arrays: dict[str, np.ndarray], finished: set[int]
+) -> dict[str, np.ndarray]:
+    """New arrays with the frames of ``before`` that they lack; removes frames that do not hold any more."""
+    new = arrays["frames"].tolist()
+    kept = []
+    for index, frame in enumerate(before["frames"].tolist()):
+        path = folder / frame_folder(frame)
+        if path.is_dir() and frame not in new:
+            kept.append(index)
+        elif path.is_dir() and frame not in finished:
             shutil.rmtree(path)
     joined = {
         name: np.concatenate([np.take(before[name], kept, axis), arrays[name]], axis)

@@ -10,8 +10,11 @@ from pathlib import Path
 import bpy
 
 from .actions import settings_of, writable_folder
-from .capture import CaptureResult, CaptureSettings, capture_sequence
+from .bake_frames import SCENE
+from .capture import Cast, capture_sequence
+from .capture_estimate import CaptureEstimate, estimate_capture
 from .capture_files import finish_capture
+from .capture_settings import CaptureResult, CaptureSettings
 from .errors import ChonaError
 from .jobs import Job
 
@@ -35,9 +38,9 @@ def check_capture(scene: bpy.types.Scene) -> CaptureSettings:
     settings = settings_of(scene)
     if settings.capture_armature is None:
         raise ChonaError("no character is chosen; choose its armature under Capture")
-    frames = settings.frames()
+    frames = settings.capture_frames()
     if not frames:
-        raise ChonaError("the frame range is empty; set a last frame that is not before the first")
+        raise ChonaError("the frame range of the capture is empty; set a last frame that is not before the first")
     thing = settings.capture_object
     return CaptureSettings(
         folder=writable_folder(settings.capture_folder, "capture folder"),
@@ -45,30 +48,105 @@ def check_capture(scene: bpy.types.Scene) -> CaptureSettings:
         object_name=None if thing is None else thing.name,
         frames=frames,
         sequence=settings.capture_sequence or None,
-        ring=settings.capture_cameras,
+        ring=settings.capture_ring(),
         width=settings.capture_width,
         height=settings.capture_height,
         samples=settings.capture_samples,
     )
 
 
-def run_capture(scene: bpy.types.Scene, progress: Callable[[int, int, str], None] | None = None) -> CaptureResult:
-    """Render the capture in this process and finish the folder."""
-    wanted = check_capture(scene)
+def cast_of(scene: bpy.types.Scene) -> Cast:
+    """Who and what the scene's settings name."""
     settings = settings_of(scene)
     thing = settings.capture_object
     things = [] if thing is None else [each for each in (thing, *thing.children_recursive) if each.type == "MESH"]
     character = [mesh for mesh in capture_meshes(settings.capture_armature) if mesh not in things]
-    result = capture_sequence(scene, settings.capture_armature, character, things, thing, wanted, progress=progress)
+    return Cast(settings.capture_armature, character, things, thing)
+
+
+def run_capture(scene: bpy.types.Scene, progress: Callable[[int, int, str], None] | None = None) -> CaptureResult:
+    """Render the capture in this process and finish the folder."""
+    wanted = check_capture(scene)
+    cast = cast_of(scene)
+    result = capture_sequence(
+        scene, cast.armature, cast.character, cast.things, cast.frame, wanted, progress=progress
+    )  # fmt: skip
     finish_capture(wanted.folder)
     return result
 
 
-def start_capture(scene: bpy.types.Scene) -> Job:
+def run_estimate(scene: bpy.types.Scene) -> CaptureEstimate:
+    """Render a frame from two cameras, and say what the capture will take."""
+    return estimate_capture(scene, cast_of(scene), check_capture(scene))
+
+
+class CaptureJob(Job):
+    """A capture of a copy of the open file, in a Blender of its own; the copy goes with it.
+
+    Attributes:
+        facts: what the capture was asked with (`capture_facts`).
+    """
+
+    def __init__(self, scene: bpy.types.Scene, title: str, *more: str) -> None:
+        wanted = check_capture(scene)
+        self.facts = capture_facts(scene)
+        self._place = tempfile.TemporaryDirectory(prefix="chona_capture_")
+        copy = Path(self._place.name) / "scene.blend"
+        bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True, check_existing=False)
+        command = [bpy.app.binary_path, "--background", "--addons", __package__, str(copy), "--python-exit-code", "1"]
+        command += ["--command", "chona", "capture", "--scene", scene.name, "--capture-folder", str(wanted.folder)]
+        words = f"{title} {wanted.sequence_name}"
+        super().__init__(words, [*command, "--progress", "json", *more], environment=dict(os.environ))
+
+    def poll(self) -> bool:
+        """As every job's; with its end the copy goes."""
+        ended = super().poll()
+        if ended:
+            self._place.cleanup()
+        return ended
+
+
+def start_capture(scene: bpy.types.Scene) -> CaptureJob:
     """Have a Blender of its own capture a copy of the open file, so that the window stays usable."""
-    wanted = check_capture(scene)
-    copy = Path(tempfile.mkdtemp(prefix="chona_capture_")) / "scene.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True, check_existing=False)
-    command = [bpy.app.binary_path, "--background", "--addons", __package__, str(copy), "--python-exit-code", "1"]
-    command += ["--command", "chona", "capture", "--scene", scene.name, "--capture-folder", str(wanted.folder)]
-    return Job(f"Capture {wanted.sequence_name}", [*command, "--progress", "json"], environment=dict(os.environ))
+    return CaptureJob(scene, "Capture")
+
+
+def start_estimate(scene: bpy.types.Scene) -> CaptureJob:
+    """The same for an estimate."""
+    return CaptureJob(scene, "Estimate", "--estimate")
+
+
+def capture_facts(scene: bpy.types.Scene) -> tuple[object, ...]:
+    """What an estimate depends on, as far as settings say; reading it computes nothing."""
+    settings = settings_of(scene)
+    own = (settings.capture_frame_start, settings.capture_frame_end, settings.capture_frame_step)
+    frames = (scene.frame_start, scene.frame_end, scene.frame_step) if settings.capture_range == SCENE else own
+    names = tuple(
+        "" if item is None else item.name for item in (settings.capture_armature, settings.capture_object)
+    )  # fmt: skip
+    size = (settings.capture_width, settings.capture_height, settings.capture_samples)
+    place = (settings.capture_folder, settings.capture_person, settings.capture_sequence)
+    return (*names, frames, settings.capture_ring(), size, place)
+
+
+_estimates: dict[int, tuple[tuple[object, ...], str]] = {}
+
+
+def keep_estimate(scene: bpy.types.Scene, job: CaptureJob) -> str:
+    """Remember what an estimate has said; returns its words."""
+    words = str(job.result.get("words") or "")
+    if not words:
+        raise ChonaError("the Blender that estimated said nothing; look at the report")
+    _estimates[scene.session_uid] = job.facts, words
+    return words
+
+
+def last_estimate(scene: bpy.types.Scene) -> tuple[str, bool]:
+    """Words of the last estimate (nothing without one), and whether settings have changed since."""
+    facts, words = _estimates.get(scene.session_uid, ((), ""))
+    return words, bool(words) and facts != capture_facts(scene)
+
+
+def forget() -> None:
+    """Drop estimates: the add-on is switched off."""
+    _estimates.clear()

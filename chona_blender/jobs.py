@@ -171,8 +171,10 @@ def _signals_cancel(job: Job) -> Iterator[None]:
 class JobOperator:
     """Mixin for operators over a job: subclasses give `start` and `finish`.
 
-    With a window, ESC cancels and the window stays usable meanwhile.
+    With a window, ESC cancels (unless `escapes` is off) and the window stays usable meanwhile.
     """
+
+    escapes = True
 
     _job: Job | None = None
     _timer: bpy.types.Timer | None = None
@@ -209,7 +211,8 @@ class JobOperator:
         if self._job is None:
             return {"CANCELLED"}
         playing = context.screen is not None and context.screen.is_animation_playing
-        if event.type == "ESC" and event.value == "PRESS" and not playing:  # while playing, ESC belongs to the playback
+        pressed = event.type == "ESC" and event.value == "PRESS" and not playing  # ESC ends the playback first
+        if pressed and self.escapes:
             self._job.cancel()
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
@@ -217,7 +220,8 @@ class JobOperator:
         job = self._job
         ended = job.poll()
         if context.workspace is not None:
-            context.workspace.status_text_set(None if ended else f"{job.title}: {job.text}   |   ESC: cancel")
+            words = f"{job.title}: {job.text}" + "   |   ESC: cancel" * self.escapes
+            context.workspace.status_text_set(None if ended else words)
         redraw_sidebars(context)
         if not ended:
             return {"PASS_THROUGH"}

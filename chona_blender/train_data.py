@@ -20,7 +20,7 @@ from .jobs import DONE, FAILED, Job
 from .worker import chona_command
 
 PICTURE = "chona.data"
-SHOWN_SIDE = 1280
+SHOWN_SIDE = 640
 """Pixels at most of a sheet's sides in the panel."""
 LOOK_SECONDS = 0.3
 

@@ -50,7 +50,8 @@ def add(scene: bpy.types.Scene) -> CHONA_PG_training:
     row.minutes, row.steps, row.resume = settings.minutes, settings.train_steps, settings.resume
     row.preview = settings.preview_every
     _Queue.held = False
-    train_rows.select(row.key)
+    if not any(each.state == RUNNING for each in list_.rows):  # its curves stay in view
+        train_rows.select(row.key)
     return row
 
 

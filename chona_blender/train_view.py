@@ -15,7 +15,7 @@ from .train_log import TrainLog, draw_curves, read_log
 
 PICTURE = "chona.training"
 LOG, PREVIEW, MODEL = "log.jsonl", "preview.png", "model.safetensors"
-SIDE = 480
+SIDE = 360
 """Pixels of the picture's sides."""
 PREVIEW_SHARE = 0.45
 """Of its height, the part with the model and the truth."""
@@ -65,7 +65,10 @@ class TrainView:
         if not self._seen or stamps[1] != self._seen[1]:
             self._preview = _read(self.run / PREVIEW)
         self._seen = stamps
-        pictures.show(PICTURE, compose(self._preview, self.log))
+        if len(self.log.step):
+            pictures.show(PICTURE, compose(self._preview, self.log))
+        else:
+            pictures.forget(PICTURE)
 
 
 def compose(preview: np.ndarray | None, log: TrainLog, side: int = SIDE) -> np.ndarray:

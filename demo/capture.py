@@ -8,8 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from chona_blender.capture import CaptureSettings, capture_sequence
+from chona_blender.capture import capture_sequence
 from chona_blender.capture_files import finish_capture
+from chona_blender.capture_settings import CaptureSettings
 from demo.animate import key_performance
 from demo.body import BONES, PARENTS, PERSON
 from demo.character import build_character

@@ -1,18 +1,22 @@
-"""Training data from the scene."""
+"""Training data from the scene: its cameras shown, what it will take, and the capture itself."""
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import bpy
 
-from .. import capturing, jobs
+from .. import capturing, jobs, ring_view
+from ..capture_command import estimate_words
+from ..capturing import CaptureJob
 from ..errors import ChonaError
 
 
+def why_no_capture(scene: bpy.types.Scene) -> str:
+    """Why a capture cannot start at present, or nothing."""
+    return jobs.busy() or ("" if scene.chona.capture_armature else "Choose the armature of the character first")
+
+
 class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
-    """Render the character and the object from a ring of cameras as training data, in a Blender of its own"""
+    """Render the character and the object from all cameras as training data, in a Blender of its own"""
 
     bl_idname = "chona.capture"
     bl_label = "Capture"
@@ -20,37 +24,89 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if jobs.running() is not None:
-            cls.poll_message_set("Wait until the running job has ended, or cancel it")
-            return False
-        if context.scene.chona.capture_armature is None:
+        words = why_no_capture(context.scene)
+        if words:
+            cls.poll_message_set(words)
+        return not words
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Without a window: in this process."""
+        try:
+            result = capturing.run_capture(context.scene)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        for words in result.warnings:
+            self.report({"WARNING"}, words)
+        self.report({"INFO"}, f"Captured {result.rendered} frames, {result.skipped} were there: {result.folder}")
+        return {"FINISHED"}
+
+    def start(self, context: bpy.types.Context) -> CaptureJob:
+        self._scene = context.scene.name
+        return capturing.start_capture(context.scene)
+
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
+        for words in job.result.get("warnings", ()):
+            self.report({"WARNING"}, str(words))
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is not None and not scene.chona.data_folder:
+            scene.chona.data_format = "blender"
+            scene.chona.data_folder = scene.chona.capture_folder
+        return f"Captured {job.result.get('written', 0)} frames, {job.result.get('skipped', 0)} were there"
+
+
+class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
+    """Render two images of the capture, and say how long all of them will take and how large they will be"""
+
+    bl_idname = "chona.estimate_capture"
+    bl_label = "Estimate"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        words = why_no_capture(context.scene)
+        if words:
+            cls.poll_message_set(words)
+        return not words
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Without a window: in this process."""
+        try:
+            found = capturing.run_estimate(context.scene)
+        except ChonaError as error:
+            return jobs.fail(self, error)
+        self.report({"INFO"}, estimate_words(found))
+        return {"FINISHED"}
+
+    def start(self, context: bpy.types.Context) -> CaptureJob:
+        self._scene = context.scene.name
+        return capturing.start_estimate(context.scene)
+
+    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None or not isinstance(job, CaptureJob):
+            return "Estimated"
+        return capturing.keep_estimate(scene, job)
+
+
+class CHONA_OT_show_ring(bpy.types.Operator):
+    """Draw the capture's cameras into the 3D views, where they follow the settings; the scene stays as it is"""
+
+    bl_idname = "chona.show_ring"
+    bl_label = "Show Cameras"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.chona.capture_armature is None and not ring_view.is_on():
             cls.poll_message_set("Choose the armature of the character first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            result = capturing.run_capture(context.scene)
-        except ChonaError as error:
-            return jobs.fail(self, error)
-        self.report({"INFO"}, f"Captured {result.rendered} frames, {result.skipped} were there: {result.folder}")
+        ring_view.switch(context.scene, not ring_view.is_on())
+        if ring_view.problem(context.scene):
+            return jobs.fail(self, ChonaError(ring_view.words(context.scene)))
         return {"FINISHED"}
 
-    def start(self, context: bpy.types.Context) -> jobs.Job:
-        self._scene = context.scene.name
-        return capturing.start_capture(context.scene)
 
-    def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
-        copy = next(Path(part) for part in job.worker.command if part.endswith("scene.blend"))
-        shutil.rmtree(copy.parent, ignore_errors=True)
-        return super()._ended(context, job)
-
-    def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
-        if scene is not None and not scene.chona.data_folder:
-            scene.chona.data_folder = scene.chona.capture_folder
-            scene.chona.data_format = "blender"
-        return f"Captured {job.result.get('written', 0)} frames, {job.result.get('skipped', 0)} were there"
-
-
-CLASSES = (CHONA_OT_capture,)
+CLASSES = (CHONA_OT_capture, CHONA_OT_estimate_capture, CHONA_OT_show_ring)

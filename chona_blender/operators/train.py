@@ -41,6 +41,8 @@ class CHONA_OT_run_trainings(jobs.JobOperator, bpy.types.Operator):
     bl_label = "Start Waiting Trainings"
     bl_options = {"INTERNAL"}
 
+    escapes = False  # it takes hours, and ESC is pressed for other things meanwhile
+
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
         if train_queue.next_waiting() is None:
@@ -130,7 +132,7 @@ class CHONA_OT_pause_training(TrainingRow, bpy.types.Operator):
 
 
 class CHONA_OT_resume_training(TrainingRow, bpy.types.Operator):
-    """Go on with the selected training from its last checkpoint, before those that wait"""
+    """Go on with the selected training from its last checkpoint; it comes before all that wait"""
 
     bl_idname = "chona.resume_training"
     bl_label = "Resume"

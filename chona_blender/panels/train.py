@@ -97,7 +97,7 @@ class CHONA_PT_train_data(Sidebar, bpy.types.Panel):
         shares = (("joints", checked.joints_inside), ("objects", checked.objects_inside))
         words = [f"{share:.0%} of the {what}" for what, share in shares if share is not None]
         if words:
-            layout.label(text=f"{' and '.join(words)} inside the masks", icon="BLANK1")
+            wrapped(layout, f"{' and '.join(words)} inside the masks", icon="BLANK1", context=context)
 
 
 class CHONA_UL_trainings(bpy.types.UIList):
@@ -114,7 +114,7 @@ class CHONA_UL_trainings(bpy.types.UIList):
         split = layout.split(factor=0.6)
         split.label(text=item.name, icon=icon)
         busy = item.state in {train_rows.RUNNING, train_rows.PAUSED}
-        split.label(text=f"{label}, {item.share:.0%}" if busy else label)
+        split.label(text=f"{item.share:.0%}" if busy else label)
 
 
 class CHONA_PT_trainings(Sidebar, bpy.types.Panel):
@@ -142,7 +142,8 @@ class CHONA_PT_trainings(Sidebar, bpy.types.Panel):
         if chosen is not None and chosen.state == train_rows.RUNNING:
             row.operator("chona.pause_training", icon="PAUSE")
         else:
-            row.operator("chona.resume_training", icon="PLAY")
+            waits = chosen is not None and chosen.state == train_rows.WAITING
+            row.operator("chona.resume_training", text="Start" if waits else "Resume", icon="PLAY")
         row.operator("chona.cancel_training", icon="X")
         row.operator("chona.use_trained", icon="IMPORT")
         if isinstance(job, TrainJob):
@@ -152,7 +153,7 @@ class CHONA_PT_trainings(Sidebar, bpy.types.Panel):
             wrapped(layout, chosen.words, icon=icon, context=context)
         draw_picture(layout, PICTURE, context)
         if pictures.icon(PICTURE):
-            layout.label(text="Above: truth and model. White: quality of that view", icon="INFO")
+            wrapped(layout, "Truth and model; the white curve is this view's PSNR", icon="INFO", context=context)
 
 
 CLASSES = (CHONA_UL_trainings, CHONA_PT_train, CHONA_PT_train_data, CHONA_PT_trainings)

@@ -77,7 +77,7 @@ def test_saved_lists(answer: dict) -> None:
 
 def test_the_picture_is_there(answer: dict) -> None:
     shape, contrast = answer["picture"]
-    assert shape == [480, 480, 3] and contrast > 0.5
+    assert shape == [360, 360, 3] and contrast > 0.5
 
 
 def test_data_are_described_and_drawn(ran: tuple[Path, dict]) -> None:
