@@ -13,7 +13,11 @@ from .frames import parse_frames
 
 PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
 CAPTURE_OPTIONS = tuple(
-    f"capture_{name}" for name in ("person", "sequence", "folder", "cameras", "width", "height", "samples")
+    f"capture_{name}"
+    for name in (
+        "person", "sequence", "folder", "cameras", "rings", "radius", "ring_height", "ring_spacing", "lens", "width",
+        "height", "samples",
+    )
 )
 
 
@@ -61,16 +65,17 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
     if "object" in given:
         settings.set_objects(dict(_pair(text) for text in given["object"]))
     if "frames" in given:
-        _set_frames(settings, given["frames"])
+        _set_frames(settings, given["frames"], "capture_" if arguments.command == "capture" else "")
 
 
-def _set_frames(settings: bpy.types.PropertyGroup, text: str) -> None:
+def _set_frames(settings: bpy.types.PropertyGroup, text: str, subject: str) -> None:
     numbers = parse_frames(text)
     step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
     if numbers != list(range(numbers[0], numbers[-1] + 1, step)):
         raise ChonaError(f"frames {text!r} are not one range with one step; run the command once for each range")
-    settings.use_scene_range = False
-    settings.frame_start, settings.frame_end, settings.frame_step = numbers[0], numbers[-1], step
+    setattr(settings, f"{subject}range" if subject else "frame_range", CUSTOM)
+    for name, value in (("start", numbers[0]), ("end", numbers[-1]), ("step", step)):
+        setattr(settings, f"{subject}frame_{name}", value)
 
 
 def _object(name: str) -> bpy.types.Object:

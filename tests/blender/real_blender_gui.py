@@ -242,7 +242,7 @@ def start_capture() -> set[str]:
     settings.capture_folder = str(out / "capture")
     settings.capture_cameras, settings.capture_samples = 2, 1
     settings.capture_width, settings.capture_height = 32, 24
-    settings.use_scene_range, settings.frame_start, settings.frame_end = False, 1, 1
+    settings.capture_range, settings.capture_frame_start, settings.capture_frame_end = "CUSTOM", 1, 1
     return call("capture", "INVOKE_DEFAULT")
 
 
