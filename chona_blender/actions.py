@@ -5,18 +5,24 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from . import compositing, diagnosis, model_cache, preferences, presets
+from .bake_frames import checked_frames
+from .bake_properties import KEEP, OVERWRITE, UPDATE
+from .blur import scene_blur
+from .compositing_options import options_of
 from .errors import ChonaError
 from .frames import describe_frames
-from .jobs import Job
+from .output import Output, absolute, bake_output
 from .rig.armature import create_rig
 from .rig.cast import ActorPlan
-from .shot import sample_actors, sample_actors_now
-from .shot_file import Shot, save_shot
+from .shot import sample_actors
+from .shot_file import save_shot
+from .shot_job import ShotJob
 from .worker import chona_command
 from .worker_check import check_worker
 
@@ -25,26 +31,21 @@ if TYPE_CHECKING:
     from .properties import CHONA_PG_settings
 
 
+EXISTING_OPTIONS: dict[str, list[str]] = {UPDATE: [], KEEP: ["--only-missing"], OVERWRITE: ["--overwrite"]}
+
+
 @dataclass(frozen=True)
 class Bake:
     """A bake that runs. `warnings` says what of the rig's scale and shear the model cannot follow."""
 
-    job: Job
-    folder: Path
-    name: str
+    job: ShotJob
+    output: Output
     warnings: tuple[str, ...]
 
 
 def settings_of(scene: bpy.types.Scene) -> CHONA_PG_settings:
     """The scene's CHONA settings."""
     return scene.chona
-
-
-def absolute(path: str) -> Path:
-    """A path as the user wrote it -> absolute. `//` in a file that was never saved is in the temporary folder."""
-    if path.startswith("//") and not bpy.data.filepath:
-        return Path(tempfile.gettempdir()) / "chona_unsaved" / path[2:]
-    return Path(bpy.path.abspath(path)).absolute()
 
 
 def writable_folder(path: str, what: str) -> Path:
@@ -78,37 +79,41 @@ def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> s
     return f"Made {' and '.join(made)}"
 
 
-def start_bake(scene: bpy.types.Scene) -> Bake:
-    """Check everything, write the shot beside the frames and start the worker on it."""
+def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = False) -> Bake:
+    """Check everything, write the shot beside the frames and start the worker on it.
+
+    Args:
+        composite: the frames are for the compositor, so what it needs must be among their passes.
+        current: bake the scene's current frame alone, and leave the shot of the whole range as it is.
+    """
     settings = settings_of(scene)
+    if composite and not settings.passes.depth:
+        raise ChonaError(
+            "the frames are to be composited, but the pass Depth, by which that is done, is off; switch it on under "
+            "Bake > Passes (in the command: --passes), or bake without compositing"
+        )
     plans = actor_plans(scene)
-    name = bake_name(settings)
-    preset, frames = presets.check(settings.preset), bake_frames(scene)
-    folder = writable_folder(settings.output_folder, "output folder")
+    output = bake_output(scene)
+    preset = presets.check(settings.preset)
+    frames = [scene.frame_current] if current else checked_frames(scene)
+    folder, name = writable_folder(str(output.folder), "output folder"), output.name
     python = worker_python()
-    shot = folder / f"{name}.shot.npz"
-    sampled = sample_actors(scene, plans, frames, name)
+    place = TemporaryDirectory(prefix="chona_frame_") if current else None
+    shot = (Path(place.name) if place is not None else folder) / f"{name}.shot.npz"
+    sampled = sample_actors(scene, plans, frames, name, blur=scene_blur(scene))
+    if settings.max_error > 0.0 and "blur.samples" in sampled.arrays:
+        raise ChonaError(
+            f"Max Error is {settings.max_error:g}, but it bounds sharp frames and these are blurred; set it to 0 and "
+            "raise the samples under Motion Blur and Depth of Field, or switch both off there"
+        )
     save_shot(shot, sampled)
     arguments = ["bake", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot), "--out", str(folder)]
-    arguments += ["--preset", preset, *device(), *(["--overwrite"] if settings.overwrite else [])]
+    arguments += ["--passes", ",".join(settings.passes.names())]
+    arguments += ["--preset", preset, *device(), *EXISTING_OPTIONS[settings.existing]]
     if settings.max_error > 0.0:
         arguments += ["--max-error", f"{settings.max_error:.6g}"]
-    job = Job(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments))
-    return Bake(job, folder, name, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
-
-
-def bake_frames(scene: bpy.types.Scene) -> list[int]:
-    """The frames of the scene's bake, refused where there are none."""
-    settings = settings_of(scene)
-    frames = settings.frames()
-    if not frames:
-        first, last = (
-            (scene.frame_start, scene.frame_end)
-            if settings.use_scene_range
-            else (settings.frame_start, settings.frame_end)
-        )
-        raise ChonaError(f"the frame range {first} to {last} is empty; set a last frame that is not before the first")
-    return frames
+    job = ShotJob(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments), place)
+    return Bake(job, output, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
 
 
 def error_words(result: dict[str, Any]) -> str:
@@ -123,15 +128,6 @@ def error_words(result: dict[str, Any]) -> str:
         return f"; every pixel within {bound['asked']:g} ({bound['error']:.3g} reached)"
     except (KeyError, TypeError, ValueError) as error:
         raise ChonaError(f"what the worker says of the error bound is not understood ({error})") from error
-
-
-def sample_now(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Shot:
-    """Actors and the camera as the scene shows them, edits without a key included; nothing is changed.
-
-    The worker that is up holds one model, the selected actor's: actors of other models are left out.
-    """
-    chosen = model_cache.load(settings_of(scene).model_path).path
-    return sample_actors_now(scene, depsgraph, [plan for plan in actor_plans(scene) if plan.header.path == chosen])
 
 
 def actor_plans(scene: bpy.types.Scene) -> list[ActorPlan]:
@@ -168,21 +164,6 @@ def plan_as_set(actor: CHONA_PG_actor) -> ActorPlan:
     return ActorPlan(header, person, actor.armature, empties, actor.chosen_bones(), legs, actor.name)
 
 
-def start_train(scene: bpy.types.Scene) -> Job:
-    """Start a training on the folder that the settings name."""
-    settings = settings_of(scene)
-    data = data_folder(scene, "Train")
-    run = writable_folder(settings.run_folder, "result folder")
-    python = worker_python()
-    arguments = ["train", "--data", str(data), "--format", settings.data_format, "--out", str(run)]
-    arguments += ["--preset", settings.train_preset, "--minutes", f"{settings.minutes:g}", *device()]
-    if settings.sequences.strip():
-        arguments += ["--sequences", ",".join(listed(settings.sequences))]
-    if settings.resume:
-        arguments.append("--resume")
-    return Job(f"Train {data.name}", chona_command(python, arguments))
-
-
 def data_folder(scene: bpy.types.Scene, panel: str) -> Path:
     """The folder with the captures, refused where it is not there; `panel` is where to choose it."""
     given = settings_of(scene).data_folder
@@ -199,28 +180,15 @@ def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def trained_model(scene: bpy.types.Scene) -> Path:
-    """Where the training of these settings leaves its model."""
-    return absolute(settings_of(scene).run_folder) / "model.safetensors"
-
-
 def add_composite(scene: bpy.types.Scene) -> compositing.CompositeResult:
     """Show the baked frames in the scene's compositor."""
-    settings = settings_of(scene)
-    return compositing.add_layer(scene, absolute(settings.output_folder), bake_name(settings))
+    output = bake_output(scene)
+    return compositing.add_layer(scene, output.folder, output.name, options_of(scene))
 
 
 def remove_composite(scene: bpy.types.Scene) -> bool:
     """Take the settings' layer out of the compositor; True when there was one."""
-    return compositing.remove_layer(scene, bake_name(settings_of(scene)))
-
-
-def bake_name(settings: CHONA_PG_settings) -> str:
-    """The bake's name, refused where it cannot be part of a file name."""
-    name = settings.name.strip()
-    if not name or name.startswith(".") or any(character in name for character in '/\\:*?"<>|#'):
-        raise ChonaError(f"the name {settings.name!r} cannot be part of a file name; write letters, digits, - and _")
-    return name
+    return compositing.remove_layer(scene, bake_output(scene).name)
 
 
 def worker_python() -> Path:

@@ -7,6 +7,14 @@ import bpy
 
 from . import presets
 from .actor_properties import RELATIVE_PATH
+from .bake_frames import RANGES, SCENE, frames_of
+
+UPDATE, KEEP, OVERWRITE = "UPDATE", "KEEP", "OVERWRITE"
+EXISTING = (
+    (UPDATE, "Update", "Bake frames that are missing or out of date: pose, camera, settings or model have changed"),
+    (KEEP, "Keep", "Bake only frames that have no file; others stay as they are, also those that are out of date"),
+    (OVERWRITE, "Overwrite", "Bake all frames again"),
+)
 
 
 def _preset_chosen(self: "BakeSettings", _context: bpy.types.Context) -> None:
@@ -27,6 +35,10 @@ class BakeSettings:
         subtype="DIR_PATH",
         options=RELATIVE_PATH,
         default="//chona/",
+    )
+    use_scene_output: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Use Scene's Output",
+        description="Write into a folder beside the scene's own output, under the name that its files have there",
     )
     preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Quality",
@@ -49,10 +61,11 @@ class BakeSettings:
         step=0.1,
         precision=3,
     )
-    use_scene_range: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Scene Range",
-        description="Bake the frame range and step of the scene",
-        default=True,
+    frame_range: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Frames",
+        description="Which frames to bake",
+        items=RANGES,
+        default=SCENE,
     )
     frame_start: bpy.props.IntProperty(name="First", description="First frame to bake", default=1)  # type: ignore[valid-type]
     frame_end: bpy.props.IntProperty(name="Last", description="Last frame to bake", default=50)  # type: ignore[valid-type]
@@ -62,9 +75,11 @@ class BakeSettings:
         default=1,
         min=1,
     )
-    overwrite: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Overwrite",
-        description="Bake frames again that are there already and up to date; without, they are skipped",
+    existing: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Existing Frames",
+        description="What happens to frames that have a file already",
+        items=EXISTING,
+        default=UPDATE,
     )
     composite_after: bpy.props.BoolProperty(  # type: ignore[valid-type]
         name="Then Composite",
@@ -83,7 +98,4 @@ class BakeSettings:
 
     def frames(self) -> list[int]:
         """The frames to bake, increasing; empty when the range is."""
-        scene = self.id_data
-        if self.use_scene_range:
-            return list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
-        return list(range(self.frame_start, self.frame_end + 1, self.frame_step))
+        return frames_of(self.id_data)

@@ -8,7 +8,9 @@ from typing import NoReturn
 
 import bpy
 
-from . import preferences, presets, standin_command, worker
+from . import capture_command, learn_command, preferences, presets, standin_command, worker, worker_command
+from .bake_properties import KEEP, OVERWRITE
+from .passes_properties import PASSES
 from .train_properties import FORMATS, TRAIN_PRESETS
 
 Command = Callable[[bpy.types.Scene, argparse.Namespace], int]
@@ -84,7 +86,23 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     layer(one)
     save(one)
     one.add_argument("--max-error", type=_bound, metavar="E", help="render pixels finer until they change by no more")
-    one.add_argument("--overwrite", action="store_const", const=True, help="bake frames again that are up to date")
+    one.add_argument(
+        "--use-scene-output", action="store_const", const=True, help="write beside the scene's own output, by its name"
+    )
+    existing = one.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--overwrite", dest="existing", action="store_const", const=OVERWRITE, help="bake all frames again"
+    )
+    existing.add_argument(
+        "--only-missing", dest="existing", action="store_const", const=KEEP,
+        help="leave every frame that has a file as it is, out of date or not (default: bake those again)",
+    )  # fmt: skip
+    one.add_argument("--passes", metavar="A,B,…", help=f"of {', '.join(PASSES)} (default: the settings')")
+    one.add_argument("--motion-blur", choices=["on", "off"], help="blur what moves, by the scene's shutter")
+    one.add_argument(
+        "--depth-of-field", choices=["on", "off"], help="blur by the camera's depth of field"
+    )
+    one.add_argument("--blur-samples", type=_samples, metavar="N", help="rays a pixel of blurred frames")
     one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
 
     shot(add("estimate", "Predict the bake with each preset after timing this computer for two seconds."))

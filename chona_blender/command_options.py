@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from . import presets
+from .bake_frames import CUSTOM
 from .errors import ChonaError
 from .frames import parse_frames
 
@@ -42,7 +43,8 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         ("name", "name"),
         ("max_error", "max_error"),
         ("out", "output_folder"),
-        ("overwrite", "overwrite"),
+        ("use_scene_output", "use_scene_output"),
+        ("existing", "existing"),
         ("data", "data_folder"),
         ("format", "data_format"),
         ("sequences", "sequences"),
@@ -55,6 +57,8 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
     ):
         if option in given:
             setattr(settings, target, str(Path(given[option]).absolute()) if option in PATH_OPTIONS else given[option])
+    if "out" in given:
+        settings.use_scene_output = False
     if "preset" in given:
         settings.preset = presets.check(given["preset"])
     if "armature" in given:

@@ -53,6 +53,13 @@ def table(scene: bpy.types.Scene) -> Table:
     return known[1]
 
 
+def time_of_bake(scene: bpy.types.Scene) -> str:
+    """`≈ 3 min 20 s` for the chosen preset, where the scene's estimate holds."""
+    estimate = estimates.last(scene)
+    cost = None if estimate is None else estimate.presets.get(scene.chona.preset)
+    return "" if cost is None or table(scene).stale else f"≈ {estimates.time_words(cost.total)}"
+
+
 def forget() -> None:
     """Drop everything: the add-on is switched off."""
     _last.clear()

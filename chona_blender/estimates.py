@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import bpy
 
 from . import model_cache, preferences
+from .bake_frames import frame_bounds
 from .jobs import duration
 
 NOT_KNOWN = "–"
@@ -80,11 +81,10 @@ def facts_of(scene: bpy.types.Scene) -> Facts:
     settings, render = scene.chona, scene.render
     actors = settings.used_actors()
     paths = dict.fromkeys(actor.model_path for actor in actors)
-    own = (settings.frame_start, settings.frame_end, settings.frame_step)
     return Facts(
         tuple((bpy.path.abspath(path), model_cache.stamp(path)) for path in paths),
         tuple((actor.model_path, actor.person, _name(actor.armature), _objects(actor)) for actor in actors),
-        (scene.frame_start, scene.frame_end, scene.frame_step) if settings.use_scene_range else own,
+        frame_bounds(scene),
         (render.resolution_x, render.resolution_y, render.resolution_percentage,
          render.pixel_aspect_x, render.pixel_aspect_y),
         _camera(scene.camera),

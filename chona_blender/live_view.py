@@ -13,7 +13,6 @@ import blf
 import bpy
 import gpu
 import numpy as np
-from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.batch import batch_for_shader
 
 from .camera import ImageFormat
@@ -60,20 +59,39 @@ def camera_views(scene: bpy.types.Scene) -> Iterator[tuple[bpy.types.Region, bpy
                     yield region, view
 
 
+def redraw_views(scene: bpy.types.Scene) -> None:
+    """Have the views through the scene's camera drawn again."""
+    for region, _ in camera_views(scene):
+        region.tag_redraw()
+
+
+def depsgraph_of(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
+    """The evaluated depsgraph of the first window that shows a scene; a timer has no context of its own."""
+    window = next(each for each in bpy.context.window_manager.windows if each.scene == scene)
+    with bpy.context.temp_override(window=window):
+        return bpy.context.evaluated_depsgraph_get()
+
+
 def _looks_through(space: bpy.types.SpaceView3D, view: bpy.types.RegionView3D, scene: bpy.types.Scene) -> bool:
     camera = space.camera if space.use_local_camera else scene.camera
-    return view.view_perspective == "CAMERA" and camera is not None and camera == scene.camera
+    return (
+        view.view_perspective == "CAMERA"
+        and camera is not None
+        and camera == scene.camera
+        and camera.type == "CAMERA"  # Blender looks through any object
+    )
 
 
 def camera_frame(region: bpy.types.Region, view: bpy.types.RegionView3D, scene: bpy.types.Scene) -> Rectangle | None:
     """Where the whole camera frame lies in a view through it; None where it has no area."""
-    world = scene.camera.matrix_world.normalized()
-    corners = [
-        location_3d_to_region_2d(region, view, world @ corner) for corner in scene.camera.data.view_frame(scene=scene)
-    ]
-    if any(corner is None for corner in corners):
+    # From the camera's own space, not over the world: far from the origin that would lose whole pixels.
+    corners = np.array(scene.camera.data.view_frame(scene=scene), dtype=np.float64)
+    projection = np.array(view.window_matrix, dtype=np.float64)
+    clip = corners @ projection[:, :3].T + projection[:, 3]
+    if clip[:, 3].min() <= 0.0:
         return None
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    pixels = (clip[:, :2] / clip[:, 3:] + 1.0) / 2.0 * (region.width, region.height)
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
     width, height = (float(side) for side in high - low)
     return Rectangle(float(low[0]), float(low[1]), width, height) if width >= 1.0 and height >= 1.0 else None
 
@@ -110,6 +128,11 @@ class Canvas:
             bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
         self._handle = self._picture = self._texture = None
         self.line, self.alert = "", False
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no picture to draw."""
+        return self._picture is None
 
     @property
     def is_on(self) -> bool:

@@ -9,10 +9,13 @@ from tempfile import TemporaryDirectory
 import bpy
 
 from . import actions, estimates, model_cache, presets
+from .bake_frames import checked_frames
+from .blur import scene_blur
 from .errors import ChonaError
 from .jobs import Job
 from .shot import sample_actors
 from .shot_file import save_shot
+from .shot_job import ShotJob
 from .worker import chona_command
 
 SECONDS = 2.0
@@ -22,31 +25,24 @@ TOO_SLOW = {"exact": "final"}
 """A preset of which not one frame fits a calibration, and the one that is timed for it."""
 
 
-class EstimateJob(Job):
-    """A job on a shot that nobody needs afterwards; `facts` say what it was made of."""
+class EstimateJob(ShotJob):
+    """What times a bake; `facts` say what bake it was."""
 
     def __init__(
         self, title: str, command: Sequence[str], place: TemporaryDirectory[str], facts: estimates.Facts
     ) -> None:
-        self._place, self.facts = place, facts
-        super().__init__(title, command)
-
-    def poll(self) -> bool:
-        """As every job's; with its end the shot goes."""
-        ended = super().poll()
-        if ended:
-            self._place.cleanup()
-        return ended
+        self.facts = facts
+        super().__init__(title, command, place)
 
 
 def start_estimate(scene: bpy.types.Scene) -> EstimateJob:
     """Write the shot as a bake would and have the worker time this computer on it."""
     settings = actions.settings_of(scene)
     plans = actions.actor_plans(scene)
-    chosen, frames = presets.check(settings.preset), actions.bake_frames(scene)
+    chosen, frames = presets.check(settings.preset), checked_frames(scene)
     python = actions.worker_python()
     place = TemporaryDirectory(prefix="chona_estimate_")
-    shot = save_shot(Path(place.name) / "shot", sample_actors(scene, plans, frames))
+    shot = save_shot(Path(place.name) / "shot", sample_actors(scene, plans, frames, blur=scene_blur(scene)))
     arguments = ["estimate", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot)]
     arguments += ["--preset", TOO_SLOW.get(chosen, chosen), "--seconds", f"{SECONDS:g}", *actions.device()]
     return EstimateJob("Estimate", chona_command(python, arguments), place, estimates.facts_of(scene))

@@ -17,6 +17,7 @@ from . import (
     live,
     model_cache,
     panels,
+    frames_there,
     part_properties,
     preferences,
     presets,
@@ -85,6 +86,7 @@ def _at_exit() -> None:
         unregister()
 
 
+    Step(frames_there.forget, frames_there.forget),
 def register() -> None:
     """Switch every step on; if one fails, those before it are switched off again and the failure is raised."""
     try:

@@ -75,7 +75,19 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
         help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
     )  # fmt: skip
-    bake.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
+    existing = bake.add_mutually_exclusive_group()
+    existing.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
+    existing.add_argument(
+        "--only-missing", action="store_true", help="leave every whole frame as it is, also those that are out of date"
+    )
+    for name, words in (("motion-blur", "what moves"), ("depth-of-field", "what is out of focus")):
+        bake.add_argument(
+            f"--{name}", choices=BLURS, default="shot", help=f"blur {words} (default: shot, as the shot has it)"
+        )
+    bake.add_argument(
+        "--blur-samples", type=whole(1, MOST_BLUR_SAMPLES), metavar="N",
+        help="rays a pixel of blurred frames (default: the shot's)",
+    )  # fmt: skip
     bake.add_argument(
         "--passes", type=name_list, default=list(PASSES), metavar="A,B,…",
         help=f"of {', '.join(PASSES)} (default: all; combined always)",

@@ -85,6 +85,8 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     device = resolve_device(arguments.device)
     from chona_model.bake import bake
 
+        blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
+        only_missing=arguments.only_missing,
     progress.check()
     report = bake(
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,

@@ -7,6 +7,7 @@ import bpy
 from .. import actions, compositing, jobs
 from ..errors import ChonaError
 
+from ..output import bake_output, output_now
 
 class CHONA_OT_composite(bpy.types.Operator):
     """Put the baked frames into the scene's compositor by depth, or update them there; your nodes stay as they are"""
@@ -17,8 +18,8 @@ class CHONA_OT_composite(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.output_folder:
-            cls.poll_message_set("Set the output folder that holds the baked frames first")
+        if output_now(context.scene) is None:
+            cls.poll_message_set("Set the output folder that holds the baked frames, and their name, first")
             return False
         return True
 

@@ -8,6 +8,7 @@ from .. import jobs, measuring, model_cache, presets
 from ..errors import ChonaError
 from ..measuring import EstimateJob
 from .bake import why_no_bake
+from .image_editor import show_image
 
 
 class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
@@ -89,24 +90,8 @@ class CHONA_OT_show_trade(bpy.types.Operator):
         except (ChonaError, RuntimeError) as error:
             return jobs.fail(self, ChonaError(str(error)))
         image.reload()  # measured again since it was shown last
-        if not bpy.app.background:
-            _show(context, image)
+        show_image(context, image)
         return {"FINISHED"}
-
-
-def _show(context: bpy.types.Context, image: bpy.types.Image) -> None:
-    """In an image editor that is there, or in a window of its own."""
-    area = next((each for each in context.window.screen.areas if each.type == "IMAGE_EDITOR"), None)
-    window = context.window
-    if area is None:
-        bpy.ops.wm.window_new()
-        window = context.window_manager.windows[-1]
-        area = window.screen.areas[0]
-        area.type = "IMAGE_EDITOR"
-    area.spaces.active.image = image
-    region = next(each for each in area.regions if each.type == "WINDOW")
-    with context.temp_override(window=window, area=area, region=region):
-        bpy.ops.image.view_all(fit_view=True)
 
 
 class CHONA_OT_refresh_presets(bpy.types.Operator):

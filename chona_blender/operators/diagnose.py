@@ -6,6 +6,7 @@ import bpy
 
 from .. import actions, diagnosis, jobs, preferences
 from ..errors import ChonaError
+from ..output import bake_output, output_now
 from ..worker import find_python
 from ..worker_check import check_worker, judge, probe_command
 
@@ -56,13 +57,13 @@ class CHONA_OT_open_output(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.output_folder:
-            cls.poll_message_set("Set the output folder first")
+        if output_now(context.scene) is None:
+            cls.poll_message_set("Set the output folder and a name first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        folder = actions.absolute(context.scene.chona.output_folder)
+        folder = bake_output(context.scene).folder
         if not folder.is_dir():
             return jobs.fail(self, ChonaError(f"there is no folder {folder} yet; a bake makes it"))
         bpy.ops.wm.path_open(filepath=str(folder))

@@ -62,6 +62,15 @@ def check_exr(path: Path) -> Structure:
     return structure
 
 
+def is_whole(path: Path) -> bool:
+    """Whether there is a file, and all of it."""
+    try:
+        check_exr(path)
+    except ExrError:
+        return False
+    return True
+
+
 def _header(content: bytes) -> tuple[Structure, int, int, int]:
     if content[:4] != _MAGIC:
         raise ValueError("it does not start as an EXR file")

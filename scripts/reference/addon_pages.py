@@ -57,7 +57,7 @@ def furnish(scene: bpy.types.Scene, model: Path) -> None:
     bpy.ops.chona.create_rig()
     bpy.ops.chona.actor_add()
     bpy.ops.chona.create_rig()
-    for name, value in (("use_scene_range", False),):
+    for name, value in (("frame_range", "CUSTOM"),):
         setattr(scene.chona, name, value)
 
 

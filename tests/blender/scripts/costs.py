@@ -114,7 +114,7 @@ def stale(scene: bpy.types.Scene) -> None:
     changes: dict[str, tuple[object, str, object]] = {
         "end": (scene, "frame_end", 9),
         "step": (scene, "frame_step", 2),
-        "own range": (scene.chona, "use_scene_range", False),
+        "own range": (scene.chona, "frame_range", "CUSTOM"),
         "size": (scene.render, "resolution_percentage", 50),
         "camera": (scene, "camera", other),
         "lens": (camera.data, "lens", 20.0),
@@ -150,7 +150,7 @@ def commanded() -> None:
     with contextlib.redirect_stderr(told):
         answer["unknown preset"] = [commands.main(["estimate", "--preset", "nice"]), told.getvalue()]
         answer["wrong bound"] = commands.main(["bake", "--max-error", "2"])
-    bpy.context.scene.chona.use_scene_range = True
+    bpy.context.scene.chona.frame_range = "SCENE"
 
 
 def own_presets(scene: bpy.types.Scene) -> None:

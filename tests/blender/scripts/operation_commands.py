@@ -39,7 +39,7 @@ def no_camera(scene: bpy.types.Scene) -> None:
 
 
 def no_frames(scene: bpy.types.Scene) -> None:
-    scene.chona.use_scene_range = False
+    scene.chona.frame_range = "CUSTOM"
     scene.chona.frame_start, scene.chona.frame_end = 10, 9
 
 
