@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import bpy
+
+if TYPE_CHECKING:
+    from .standin_properties import CHONA_PG_stand_in
 
 KEPT = "chona_shadow_kept"
 CASTER = {
@@ -27,9 +31,11 @@ CASTER = {
 def cast_shadows(items: Iterable[bpy.types.Object], name: str) -> None:
     """Make the objects casters for the layer `name`."""
     for item in items:
-        kept = json.loads(item.get(KEPT, "{}")) or {"layers": [], "flags": {key: getattr(item, key) for key in CASTER}}
+        kept = json.loads(item.get(KEPT, "{}")) or _now(item)
         kept["layers"] = sorted({*kept["layers"], name})
         item[KEPT] = json.dumps(kept)
+        for settings in _settings(item):
+            settings.use = "SHADOW"
         for key, value in CASTER.items():
             setattr(item, key, value)
 
@@ -46,10 +52,22 @@ def stop_shadows(name: str, staying: Iterable[bpy.types.Object] = ()) -> None:
             item[KEPT] = json.dumps(kept)
             continue
         del item[KEPT]
+        for settings in _settings(item):
+            settings.use = kept["use"]
         for key, value in kept["flags"].items():
             setattr(item, key, value)
 
 
-def casts(name: str) -> bool:
-    """Whether an object casts shadows for the layer `name`."""
-    return any(name in json.loads(item[KEPT])["layers"] for item in bpy.data.objects if KEPT in item)
+def _now(item: bpy.types.Object) -> dict:
+    return {
+        "layers": [],
+        "flags": {key: getattr(item, key) for key in CASTER},
+        "use": next((settings.use for settings in _settings(item)), ""),
+    }
+
+
+def _settings(item: bpy.types.Object) -> list[CHONA_PG_stand_in]:
+    """Settings of the actors whose stand-in the object is, for their panel to say what is so."""
+    scenes = (scene for scene in bpy.data.scenes if hasattr(scene, "chona"))  # usable without the add-on switched on
+    actors = (actor for scene in scenes for actor in scene.chona.actors)
+    return [actor.stand_in for actor in actors if any(part.object == item for part in actor.stand_in.parts)]

@@ -1,13 +1,14 @@
-"""Operators that put the baked frames into the compositor and take them out."""
+"""Operators that put the baked frames into the compositor and take them out.
 
-from __future__ import annotations
+Blender reads the annotations of operators' properties, so they are not postponed here.
+"""
 
 import bpy
 
 from .. import actions, compositing, jobs
 from ..errors import ChonaError
-
 from ..output import bake_output, output_now
+
 
 class CHONA_OT_composite(bpy.types.Operator):
     """Put the baked frames into the scene's compositor by depth, or update them there; your nodes stay as they are"""
@@ -41,6 +42,12 @@ class CHONA_OT_composite_remove(bpy.types.Operator):
     bl_label = "Remove from Compositor"
     bl_options = {"REGISTER", "UNDO"}
 
+    layer: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Layer",
+        description="Name of the bake whose layer goes; empty is the one that the Bake panel names",
+        options={"SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not compositing.has_layers(context.scene):
@@ -49,16 +56,16 @@ class CHONA_OT_composite_remove(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        scene = context.scene
         try:
-            removed = actions.remove_composite(context.scene)
+            name = self.layer or bake_output(scene).name
+            removed = compositing.remove_layer(scene, name)
         except ChonaError as error:
             return jobs.fail(self, error)
         if not removed:
-            names = ", ".join(compositing.layer_names(context.scene))
-            return jobs.fail(
-                self, ChonaError(f"there is no layer {context.scene.chona.name!r}; the scene has: {names}")
-            )
-        self.report({"INFO"}, f"Removed {compositing.layer_group_name(context.scene.chona.name)}")
+            names = ", ".join(compositing.layer_names(scene))
+            return jobs.fail(self, ChonaError(f"there is no layer {name!r}; the scene has: {names}"))
+        self.report({"INFO"}, f"Removed {compositing.layer_group_name(name)}")
         return {"FINISHED"}
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from .. import compositing
-from .sidebar import Sidebar
+from ..output import output_now
+from .sidebar import Sidebar, wrapped
 
 
 class CHONA_PT_composite(Sidebar, bpy.types.Panel):
@@ -15,13 +16,26 @@ class CHONA_PT_composite(Sidebar, bpy.types.Panel):
     bl_label = "Composite"
 
     def draw(self, context: bpy.types.Context) -> None:
-        row = self.layout.row(align=True)
-        present = compositing.has_layers(context.scene)
-        row.operator("chona.composite", text="Update" if present else "Composite", icon="NODE_COMPOSITING")
-        row.operator("chona.composite_remove", text="Remove", icon="X")
-        if present:
-            for name in compositing.layer_names(context.scene):
-                self.layout.label(text=compositing.layer_group_name(name), icon="NODETREE")
+        scene = context.scene
+        settings = scene.chona.composite
+        column = self.columns()
+        column.row().prop(settings, "edges", expand=True)
+        column.prop(settings, "shadows")
+        column.prop(settings, "cryptomatte")
+        column.prop(settings, "stand_in")
+        names = compositing.layer_names(scene) if compositing.has_layers(scene) else []
+        output = output_now(scene)
+        present = output is not None and output.name in names
+        self.layout.operator("chona.composite", text="Update" if present else "Composite", icon="NODE_COMPOSITING")
+        for name in names:
+            row = self.layout.row(align=True)
+            row.label(text=compositing.layer_group_name(name), icon="NODETREE")
+            row.operator("chona.composite_remove", text="", icon="X", emboss=False).layer = name
+            words = compositing.size_words(scene, name)
+            if words:
+                wrapped(self.layout, words, "ERROR", context)
+        if compositing.has_layers(scene) and not names:
+            self.layout.operator("chona.composite_remove", text="Clean Up", icon="X")
         self.layout.operator("chona.open_output", icon="FILE_FOLDER")
 
 

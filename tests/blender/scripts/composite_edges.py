@@ -13,14 +13,12 @@ from pathlib import Path
 import bpy
 from operation_scene import CAMERA_HEIGHT, emission_plane, empty_scene, render, say
 
-import chona_blender
 from chona_blender import compositing
 from chona_blender.compositing import CompositeOptions, Figure
 
 folder = Path(sys.argv[2])
 plan = json.loads(Path(sys.argv[1]).read_text())
 width, height = plan["size"]
-chona_blender.register()
 
 
 def quad(name: str, corners: list[list[float]], depth: float, colour: list[float] | None) -> bpy.types.Object:

@@ -8,12 +8,10 @@ from pathlib import Path
 import bpy
 from operation_scene import HEIGHT, WIDTH, emission_plane, empty_scene, render, say
 
-import chona_blender
 from chona_blender import compositing
 from chona_blender.errors import ChonaError
 
 frames, out = Path(sys.argv[1]), Path(sys.argv[2])
-chona_blender.register()
 answer: dict = {"version": list(bpy.app.version), "errors": {}}
 
 # The scene in four columns: a plane in front (depth 3), one behind (depth 8), nothing, one behind (depth 8).

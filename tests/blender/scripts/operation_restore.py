@@ -9,7 +9,6 @@ from pathlib import Path
 import bpy
 from operation_scene import describe_tree, empty_scene, say
 
-import chona_blender
 from chona_blender import compositing
 
 NEW = bpy.app.version >= (5, 0, 0)
@@ -101,6 +100,5 @@ def run(build: Callable[[bpy.types.Scene], None], order: str) -> dict:
     return {"same": before == after, "before": before, "after": after, "names": names, "groups": groups}
 
 
-chona_blender.register()
 shapes = (nothing, plain, graded, without_render_layers, unlinked, unlinked_with_layers)
 say({f"{build.__name__}, {order}": run(build, order) for build in shapes for order in ("first", "last")})
