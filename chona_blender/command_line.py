@@ -53,6 +53,10 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
         command.add_argument("--out", metavar="FOLDER", help="folder of the baked frames")
         command.add_argument("--name", metavar="NAME", help="name of the bake; frames are NAME_0001.exr …")
 
+    def composited(command: argparse.ArgumentParser) -> None:
+        command.add_argument("--edges", choices=["depth", "refined"], help="of what is in front of the figure")
+        command.add_argument("--shadows", choices=["on", "off"], help="stand-ins cast the figure's shadow unseen")
+
     def python(command: argparse.ArgumentParser) -> None:
         origin = f"the preferences', ${worker.PYTHON_VARIABLE}, .venv beside the sources"
         command.add_argument("--python", metavar="FILE", help=f"the worker's Python (default: {origin})")
@@ -104,6 +108,7 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     )
     one.add_argument("--blur-samples", type=_samples, metavar="N", help="rays a pixel of blurred frames")
     one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
+    composited(one)
 
     shot(add("estimate", "Predict the bake with each preset after timing this computer for two seconds."))
 
@@ -111,6 +116,7 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     layer(one)
     save(one)
     one.add_argument("--remove", action="store_true", help="take them out instead")
+    composited(one)
 
     one = add("create-rig", "Make an armature and empties for a model.")
     actor(one)

@@ -61,6 +61,10 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         settings.use_scene_output = False
     if "preset" in given:
         settings.preset = presets.check(given["preset"])
+    if "edges" in given:
+        settings.composite.edges = given["edges"].upper()
+    if "shadows" in given:
+        settings.composite.shadows = given["shadows"] == "on"
     if "armature" in given:
         settings.armature = _object(given["armature"])
     for name in ("capture_armature", "capture_object"):

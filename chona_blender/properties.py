@@ -10,6 +10,7 @@ import bpy
 from .actor_properties import RELATIVE_PATH, CHONA_PG_actor
 from .bake_properties import BakeSettings
 from .capture_properties import CaptureSettings
+from .compositing_properties import CHONA_PG_composite
 from .part_properties import CHONA_PG_object
 from .train_properties import TrainSettings
 
@@ -26,6 +27,7 @@ class CHONA_PG_settings(BakeSettings, CaptureSettings, TrainSettings, bpy.types.
     ``model_path``, ``person``, ``armature`` and ``objects`` are those of the selected actor: most scenes have only one.
     """
 
+    composite: bpy.props.PointerProperty(type=CHONA_PG_composite, name="Composite")  # type: ignore[valid-type]
     actors: bpy.props.CollectionProperty(  # type: ignore[valid-type]
         type=CHONA_PG_actor, name="Actors", description="Everybody and everything that is rendered together"
     )
