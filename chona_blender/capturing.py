@@ -14,7 +14,7 @@ from .bake_frames import SCENE
 from .capture import Cast, capture_sequence
 from .capture_estimate import CaptureEstimate, estimate_capture
 from .capture_files import finish_capture
-from .capture_settings import CaptureResult, CaptureSettings
+from .capture_settings import CaptureResult, CaptureSettings, safe_name
 from .errors import ChonaError
 from .jobs import Job
 
@@ -44,8 +44,8 @@ def check_capture(scene: bpy.types.Scene) -> CaptureSettings:
     thing = settings.capture_object
     return CaptureSettings(
         folder=writable_folder(settings.capture_folder, "capture folder"),
-        person=settings.capture_person or settings.capture_armature.name,
-        object_name=None if thing is None else thing.name,
+        person=settings.capture_person or safe_name(settings.capture_armature.name),
+        object_name=None if thing is None else safe_name(thing.name),
         frames=frames,
         sequence=settings.capture_sequence or None,
         ring=settings.capture_ring(),

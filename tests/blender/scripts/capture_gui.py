@@ -80,8 +80,8 @@ def story() -> Iterator[float]:
     key_performance(armature, carrier, performance(TRAINED[0]), range(1, 11))
     scene.frame_end = 10
     space = view_area().spaces.active
-    space.show_region_ui, space.shading.type = True, "MATERIAL"
-    space.region_3d.view_location, space.region_3d.view_distance = (0.6, 0.0, 0.8), 12.5
+    space.show_region_ui, space.shading.type, space.shading.color_type = True, "SOLID", "TEXTURE"
+    space.region_3d.view_location, space.region_3d.view_distance = (0.9, 0.0, 0.9), 9.5
     space.region_3d.view_rotation = (0.78, 0.58, 0.13, 0.18)
     yield 0.5
     region = next(each for each in view_area().regions if each.type == "UI")
@@ -93,7 +93,7 @@ def story() -> Iterator[float]:
     yield from picture("2_one_ring")
     settings.capture_rings, settings.capture_cameras, settings.capture_ring_height = 2, 6, 0.3
     yield from picture("3_two_rings")
-    settings.capture_radius, settings.capture_lens = 3.0, 50.0
+    settings.capture_radius, settings.capture_lens = 2.2, 50.0
     yield from picture("4_too_near")
     settings.capture_radius, settings.capture_lens, settings.capture_rings, settings.capture_cameras = 0.0, 40.0, 1, 2
     settings.capture_folder, settings.capture_width, settings.capture_height = str(out / "capture"), 128, 96
