@@ -97,6 +97,7 @@ class CaptureJob(Job):
         command += ["--command", "chona", "capture", "--scene", scene.name, "--capture-folder", str(wanted.folder)]
         words = f"{title} {wanted.sequence_name}"
         super().__init__(words, [*command, "--progress", "json", *more], environment=dict(os.environ))
+        self.words = "starting a Blender of its own"
 
     def poll(self) -> bool:
         """As every job's; with its end the copy goes."""
