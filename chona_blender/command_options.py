@@ -61,6 +61,15 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         settings.use_scene_output = False
     if "preset" in given:
         settings.preset = presets.check(given["preset"])
+    if "passes" in given:
+        settings.passes.choose(given["passes"].split(","))
+    if "motion_blur" in given:
+        settings.blur.use_motion_blur = given["motion_blur"] == "on"
+        scene.render.use_motion_blur = scene.render.use_motion_blur or settings.blur.use_motion_blur
+    if "depth_of_field" in given:
+        settings.blur.use_depth_of_field = given["depth_of_field"] == "on"
+    if "blur_samples" in given:
+        settings.blur.samples = given["blur_samples"]
     if "edges" in given:
         settings.composite.edges = given["edges"].upper()
     if "shadows" in given:

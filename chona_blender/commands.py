@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
 
 def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     """Render the posed actor to EXR frames."""
-    started = actions.start_bake(scene)
+    started = actions.start_bake(scene, composite=arguments.composite)
     for words in started.warnings:
         _say(f"chona: warning: {words}")
     code = _run(started.job)

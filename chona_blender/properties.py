@@ -9,9 +9,11 @@ import bpy
 
 from .actor_properties import RELATIVE_PATH, CHONA_PG_actor
 from .bake_properties import BakeSettings
+from .blur_properties import CHONA_PG_blur
 from .capture_properties import CaptureSettings
 from .compositing_properties import CHONA_PG_composite
 from .part_properties import CHONA_PG_object
+from .passes_properties import CHONA_PG_passes
 from .train_properties import TrainSettings
 
 
@@ -27,7 +29,6 @@ class CHONA_PG_settings(BakeSettings, CaptureSettings, TrainSettings, bpy.types.
     ``model_path``, ``person``, ``armature`` and ``objects`` are those of the selected actor: most scenes have only one.
     """
 
-    composite: bpy.props.PointerProperty(type=CHONA_PG_composite, name="Composite")  # type: ignore[valid-type]
     actors: bpy.props.CollectionProperty(  # type: ignore[valid-type]
         type=CHONA_PG_actor, name="Actors", description="Everybody and everything that is rendered together"
     )
@@ -43,6 +44,10 @@ class CHONA_PG_settings(BakeSettings, CaptureSettings, TrainSettings, bpy.types.
         description="The selected row of the list of actors",
         options={"HIDDEN"},
     )
+
+    blur: bpy.props.PointerProperty(type=CHONA_PG_blur, name="Blur")  # type: ignore[valid-type]
+    composite: bpy.props.PointerProperty(type=CHONA_PG_composite, name="Composite")  # type: ignore[valid-type]
+    passes: bpy.props.PointerProperty(type=CHONA_PG_passes, name="Passes")  # type: ignore[valid-type]
 
     @property
     def actor(self) -> CHONA_PG_actor | None:

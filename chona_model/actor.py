@@ -11,6 +11,7 @@ from torch import Tensor
 
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 
@@ -19,6 +20,9 @@ EMPTY_DEPTH = 1e10
 
 CHANNELS = ("rgb", "alpha", "depth", "human", "object", "confidence")
 """What a picture has for every pixel."""
+
+ASKED_FOR = ("normal", "parts")
+"""What it has for every pixel where that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,10 @@ class Picture:
         human, object: [H, W] shares of alpha on the person and on objects.
         confidence: [H, W] share of samples whose inverse skinning converged; 1 where nothing was sampled.
         rays: rays traced; failed_share: share of all samples without a root.
+        normal: [H, W, 3] mean of the unit normals of what a pixel shows, in the world and weighted as its colours are:
+            no longer than ``alpha``. None where not asked for.
+        parts: [H, W, P] shares of alpha on each part of the pose: the person, where there is one, then its objects. Of
+            several actors one after the other. None where not asked for.
     """
 
     rgb: np.ndarray
@@ -41,14 +49,33 @@ class Picture:
     confidence: np.ndarray
     rays: int
     failed_share: float
+    normal: np.ndarray | None = None
+    parts: np.ndarray | None = None
+
+    @property
+    def channels(self) -> dict[str, np.ndarray]:
+        """What the picture has for every pixel, by name."""
+        given = {name: getattr(self, name) for name in (*CHANNELS, *ASKED_FOR)}
+        return {name: array for name, array in given.items() if array is not None}
 
 
-def empty_picture(camera: Camera) -> Picture:
-    """A picture of nothing, whose arrays may be written to."""
+def part_count(pose: Pose) -> int:
+    """How many parts a pose has: the person, where there is one, and its objects."""
+    return (pose.person is not None) + len(pose.objects)
+
+
+def empty_picture(camera: Camera, passes: Passes = DEFAULT_PASSES, parts: int = 0) -> Picture:
+    """A picture of nothing, whose arrays may be written to.
+
+    Args:
+        passes: of which normals and Cryptomatte say whether there are normals, and the shares of so many parts.
+    """
     size = (camera.height, camera.width)
     return Picture(
         np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.full(size, EMPTY_DEPTH, np.float32),
         np.zeros(size, np.float32), np.zeros(size, np.float32), np.ones(size, np.float32), 0, 0.0,
+        np.zeros((*size, 3), np.float32) if passes.normal else None,
+        np.zeros((*size, parts), np.float32) if passes.cryptomatte else None,
     )  # fmt: skip
 
 
@@ -58,7 +85,7 @@ def merge(picture: Picture, traced: Picture, pixels: np.ndarray) -> Picture:
     failed = (picture.failed_share * picture.rays + traced.failed_share * traced.rays) / max(rays, 1)
     channels = {
         name: np.where(pixels[..., None] if own.ndim == 3 else pixels, getattr(traced, name), own)
-        for name, own in ((name, getattr(picture, name)) for name in CHANNELS)
+        for name, own in picture.channels.items()
     }
     return replace(picture, **channels, rays=rays, failed_share=failed)
 
@@ -71,6 +98,8 @@ class Samples:
         ray: [N] int64 ``(row · width + column) · side² + sub``: rays of a pixel are consecutive.
         depth: [N] metres along the camera axis; alpha: [N] opacity of the sample alone, 0…1; rgb: [N, 3] straight.
         thing: [N] share of the sample that is an object's, 0…1.
+        normal: [N, 3] unit, or zero where there is none, in the world; parts: [N, P] shares of the sample on each part
+            of the pose, as in ``Picture``. None where not asked for.
     """
 
     ray: np.ndarray
@@ -78,6 +107,8 @@ class Samples:
     alpha: np.ndarray
     rgb: np.ndarray
     thing: np.ndarray
+    normal: np.ndarray | None = None
+    parts: np.ndarray | None = None
 
 
 class Actor(Protocol):
@@ -89,15 +120,21 @@ class Actor(Protocol):
     objects: Mapping[str, ObjectShape]
     object_distance: float
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+    def render(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None,
+        passes: Passes = DEFAULT_PASSES,
+    ) -> Picture:  # fmt: skip
         """Renders a view; ``KeyError`` for identities the model does not know.
 
         Args:
             pixels: [H, W] bool, those that are traced; the others stay empty. None: all.
+            passes: of which normals and Cryptomatte take work of their own.
         """
         ...
 
-    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+    def sample(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray, passes: Passes = DEFAULT_PASSES
+    ) -> Samples:
         """What the rays of ``pixels`` [H, W] bool meet, to be integrated with what other actors' rays meet."""
         ...
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from chona_model.arguments import Parser, SourceAction, frame_list, name_list, number, whole
-from chona_model.passes import PASSES
+from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
 from chona_model.settings import PRESETS
 
@@ -89,8 +89,8 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         help="rays a pixel of blurred frames (default: the shot's)",
     )  # fmt: skip
     bake.add_argument(
-        "--passes", type=name_list, default=list(PASSES), metavar="A,B,…",
-        help=f"of {', '.join(PASSES)} (default: all; combined always)",
+        "--passes", type=name_list, default=list(DEFAULT_PASSES.names), metavar="A,B,…",
+        help=f"of {', '.join(PASSES)} (default: {', '.join(DEFAULT_PASSES.names)}; combined always)",
     )  # fmt: skip
 
     trade = add("trade", "measure what speed costs with a model, and find the best settings", long=True)

@@ -22,7 +22,7 @@ from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import IdentityCodes
 from chona_model.field.radiance import FieldSample, RadianceField
 from chona_model.figure import PoseBatch, RayBatch, RayResult, object_places, pose_code_size
-from chona_model.geometry import inverse_3x3
+from chona_model.geometry import inverse_3x3, safe_divide, safe_norm
 from chona_model.render.bounds import BODY_REACH, OBJECT_MARGIN
 from chona_model.render.frustum import conical_frusta, cylinders
 from chona_model.render.integration import RayWeights, integrate, ray_weights, visible_confidence
@@ -36,12 +36,14 @@ PREDICTION_MARGIN = 0.03
 
 @dataclass(frozen=True)
 class _Samples:
-    """Samples of the rays that hit, before integration: [R, S] or [R, S, 3]."""
+    """Samples of the rays that hit, before integration: [R, S], [R, S, 3], or [R, S, 1 + N] shares of the body and of
+    each object; and normals [R, S, 3] in root space, of length one or zero, where asked for."""
 
     rgb: Tensor
     density: Tensor
     shares: Tensor
     converged: Tensor
+    normal: Tensor | None
 
 
 class ExactModel(nn.Module):
@@ -162,6 +164,7 @@ class ExactModel(nn.Module):
         generator: torch.Generator | None = None,
         *,
         orthographic: bool = False,
+        facing: bool = False,
         chunk: int = 1024,
     ) -> RayResult:
         """Renders rays; in training mode with a graph and regularisers, else without and ``chunk`` rays at a time.
@@ -172,6 +175,7 @@ class ExactModel(nn.Module):
             persons: [R], objects: [R, N] identities whose codes colour each ray (CIL's draw, or the poses' own).
             generator: jitters the samples when given.
             orthographic: the rays are cylinders of radius ``rays.radii``.
+            facing: whether normals are wanted.
 
         Raises:
             ValueError: parameters of another dtype than the rays, or, in training, roots in a grid or rays that are not
@@ -195,6 +199,7 @@ class ExactModel(nn.Module):
                     codes=(persons[rows], objects[rows]),
                     settings=settings,
                     orthographic=orthographic,
+                    facing=facing,
                 )
                 for rows in ([whole] if self.training else whole.split(chunk))
             ]
@@ -216,63 +221,72 @@ class ExactModel(nn.Module):
         codes: tuple[Tensor, Tensor],
         settings: ExactSettings,
         orthographic: bool,
+        facing: bool,
     ) -> RayResult:
         sound = finite(rays)
         if self.training and not bool(sound.all()):
             raise ValueError(f"{int((~sound).sum())} of {len(sound)} rays hold values that are not finite")
         hit = ((rays.far > rays.near) & sound).nonzero()[:, 0]
-        result = empty_result(rays, sound, settings.samples)
+        result = empty_result(rays, sound, settings.samples, self.shape.object_slots, facing)
         if len(hit) == 0:
             return result
         codes = (codes[0][hit], codes[1][hit])
-        depths, samples, light = self._along(take_rays(rays, hit), edges[hit], poses, codes, settings, orthographic)
+        depths, samples, light = self._along(
+            take_rays(rays, hit), edges[hit], poses, codes, settings, orthographic, facing
+        )
+        normal = result.normal
+        if normal is not None and samples.normal is not None:
+            normal = normal.index_copy(0, hit, (light.weights[..., None] * samples.normal).sum(dim=-2))
         pixels = integrate(light.weights, samples.rgb, depths, samples.shares)
         return RayResult(
             rgb=result.rgb.index_copy(0, hit, pixels.rgb),
             alpha=result.alpha.index_copy(0, hit, pixels.alpha),
             depth=result.depth.index_copy(0, hit, pixels.depth),
-            human=result.human.index_copy(0, hit, pixels.mattes[:, 0]),
-            object=result.object.index_copy(0, hit, pixels.mattes[:, 1]),
+            mattes=result.mattes.index_copy(0, hit, pixels.mattes),
             confidence=result.confidence.index_copy(0, hit, visible_confidence(light, samples.converged)),
             # Counts for now: chunks differ in how many rays hit.
             failed_share=result.failed_share
             + torch.stack([(~samples.converged).sum(), torch.tensor(samples.converged.numel()).to(hit)]),
             regularisers={},
+            normal=normal,
         )
 
     def _along(
         self, rays: RayBatch, edges: Tensor, poses: PoseBatch, codes: tuple[Tensor, Tensor], settings: ExactSettings,
-        orthographic: bool,
+        orthographic: bool, facing: bool,
     ) -> tuple[Tensor, _Samples, RayWeights]:  # fmt: skip
         """Depths [R, S] of rays that hit, their samples, and the light along them."""
         frusta = cylinders if orthographic else conical_frusta
         depths, means, covariances = frusta(rays.origins, rays.directions, rays.radii, edges)
-        samples = self._sample(means, covariances, rays.pose, poses, identity=self.codes(*codes), settings=settings)
+        samples = self._sample(
+            means, covariances, rays.pose, poses, identity=self.codes(*codes), settings=settings, facing=facing
+        )
         lengths = (edges[:, 1:] - edges[:, :-1]) * torch.linalg.vector_norm(rays.directions, dim=-1, keepdim=True)
         return depths, samples, ray_weights(samples.density, lengths)
 
     @torch.no_grad()
     def sample_rays(
         self, rays: RayBatch, poses: PoseBatch, persons: Tensor, objects: Tensor, settings: ExactSettings, *,
-        orthographic: bool = False, chunk: int = 1024,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+        orthographic: bool = False, facing: bool = False, chunk: int = 1024,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:  # fmt: skip
         """What finite rays that hit meet, to be integrated with what others meet.
 
         Args:
             rays, …: as ``render_rays`` takes them.
 
         Returns:
-            depths [R, S] metres, opacities [R, S], straight colours [R, S, 3] and shares of the person and of objects
-            [R, S, 2].
+            depths [R, S] metres, opacities [R, S], straight colours [R, S, 3], shares of the person and of each object
+            [R, S, 1 + N], and normals [R, S, 3] in root space where ``facing``.
         """
         edges = stratified_edges(rays.near, rays.far, settings.samples, None)
         parts = []
         for rows in torch.arange(len(rays.near), device=rays.near.device).split(chunk):
             part, codes = take_rays(rays, rows), (persons[rows], objects[rows])
-            depths, samples, light = self._along(part, edges[rows], poses, codes, settings, orthographic)
-            parts.append((depths, light.opacity, samples.rgb, samples.shares))
-        depths, opacity, rgb, shares = (torch.cat(column) for column in zip(*parts, strict=True))
-        return depths, opacity, rgb, shares
+            depths, samples, light = self._along(part, edges[rows], poses, codes, settings, orthographic, facing)
+            parts.append((depths, light.opacity, samples.rgb, samples.shares, samples.normal))
+        *columns, normals = zip(*parts, strict=True)
+        depths, opacity, rgb, shares = (torch.cat(column) for column in columns)
+        return depths, opacity, rgb, shares, torch.cat(normals) if facing else None
 
     def _sample(
         self,
@@ -283,6 +297,7 @@ class ExactModel(nn.Module):
         *,
         identity: Tensor,
         settings: ExactSettings,
+        facing: bool,
     ) -> _Samples:
         shape = means.shape[:2]
         targets, posed_covariances = means.reshape(-1, 3), covariances.reshape(-1, 3, 3)
@@ -311,16 +326,32 @@ class ExactModel(nn.Module):
                 pose_index=index[rows],
             )
         weights = self.deform.weights(found, poses, index[rows])
-        parts = [weights[:, : self.shape.bones], weights[:, self.shape.bones : -1]]
-        shares = torch.stack([part.sum(dim=-1) for part in parts], dim=-1)
+        body, things = weights[:, : self.shape.bones], weights[:, self.shape.bones : -1]
+        shares = torch.cat([body.sum(dim=-1, keepdim=True), things], dim=-1)
+        normal = None
+        if facing:
+            normals = self._normals(found, carried, jacobian, identity, ray[rows])
+            normal = means.new_zeros(count, 3).index_copy(0, reached[rows], normals).unflatten(0, shape)
         place = reached[rows]
         converged = torch.ones(count, dtype=torch.bool, device=means.device).index_copy(0, reached, roots.found)
         return _Samples(
             rgb=means.new_zeros(count, 3).index_copy(0, place, sample.rgb.to(means)).unflatten(0, shape),
             density=means.new_zeros(count).index_copy(0, place, sample.density.to(means)).unflatten(0, shape),
-            shares=means.new_zeros(count, 2).index_copy(0, place, shares).unflatten(0, shape),
+            shares=means.new_zeros(count, shares.shape[1]).index_copy(0, place, shares).unflatten(0, shape),
             converged=converged.unflatten(0, shape),
+            normal=normal,
         )
+
+    def _normals(
+        self, points: Tensor, covariances: Tensor, jacobians: Tensor, identity: Tensor, index: Tensor
+    ) -> Tensor:
+        """[M, 3] root-space normals at canonical points: −∇σ of the posed field, J⁻ᵀ ∇σ_c, at length one or zero."""
+        with torch.enable_grad():
+            at = points.detach().requires_grad_()
+            density = self.field.density(at, covariances.detach(), identity.detach(), index)
+            (slope,) = torch.autograd.grad(density.sum(), at)
+        turned = (inverse_3x3(jacobians).matrix.transpose(-1, -2) @ slope[..., None])[..., 0]
+        return safe_divide(-turned, safe_norm(turned)[..., None])
 
     @torch.no_grad()
     def _densest(

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture
+from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture, part_count
 from chona_model.camera import ORTHOGRAPHIC, Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.exact import ExactModel
 from chona_model.exact_shape import ExactShape
 from chona_model.figure import Figure, PoseBatch, RayBatch, RayResult, Rig, make_figure, to_pose_batch
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.render.bounds import figure_spans
-from chona_model.samples import join
+from chona_model.samples import join, no_samples
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 from chona_model.tensor_reader import IdentityRows, TensorReader
@@ -92,9 +94,13 @@ class ExactActor:
         """Corners of the objects' boxes in their own frames, metres."""
         return [(np.asarray(self.objects[name].lower), np.asarray(self.objects[name].upper)) for name in objects]
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+    def render(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None,
+        passes: Passes = DEFAULT_PASSES,
+    ) -> Picture:  # fmt: skip
         """Renders a view, or some ``pixels`` [H, W] bool of it; those that miss the figure's bounds cost nothing."""
-        return render_scaled(self._in(settings.precision)._render, pose, camera, settings, pixels)
+        render = partial(self._in(settings.precision)._render, passes=passes)
+        return render_scaled(render, pose, camera, settings, pixels)
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
         """How many rays ``render`` would trace, without tracing any."""
@@ -114,35 +120,47 @@ class ExactActor:
             self._double = ExactActor(model, self.skeleton, self.persons, self.objects, self.object_distance)
         return self._double
 
-    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
-        aim = self._aim(pose, camera, pixels)
+    def _render(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None, passes: Passes
+    ) -> Picture:
+        aim, empty = self._aim(pose, camera, pixels), empty_picture(camera, passes, part_count(pose))
         if len(aim.rows) == 0:
-            return empty_picture(camera)
+            return empty
+        flat = camera.kind == ORTHOGRAPHIC
         results = [
-            self.model.render_rays(rays, *aim.shown, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC)
+            self.model.render_rays(rays, *aim.shown, settings.exact, orthographic=flat, facing=passes.normal)
             for rays in self._rays(aim, camera, settings.supersampling)
         ]
-        return _picture(camera, aim.rows, aim.columns, results)
+        return _fill(empty, aim, pose, results)
 
-    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+    def sample(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray, passes: Passes = DEFAULT_PASSES
+    ) -> Samples:
         """What the rays of ``pixels`` [H, W] bool meet, at the camera's own size."""
         actor = self._in(settings.precision)
-        aim, side, parts = actor._aim(pose, camera, pixels), settings.supersampling, []
+        aim, side = actor._aim(pose, camera, pixels), settings.supersampling
+        parts = [no_samples(passes, part_count(pose))]
         if len(aim.rows) == 0:
-            return join([])
+            return parts[0]
         for sub, rays in enumerate(actor._rays(aim, camera, side)):
-            found = actor.model.sample_rays(
-                rays, *aim.shown, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC
+            *found, normals = actor.model.sample_rays(
+                rays, *aim.shown, settings.exact, orthographic=camera.kind == ORTHOGRAPHIC, facing=passes.normal
             )  # fmt: skip
             depth, alpha, rgb, shares = (array.float().cpu().numpy() for array in found)
             ray = np.repeat((aim.rows * camera.width + aim.columns) * side**2 + sub, depth.shape[1])
             held = alpha.ravel() > 0
-            thing = shares[..., 1] / np.maximum(shares.sum(axis=-1), 1e-12)
+            shares = shares.reshape(len(held), -1)[held]
+            shares /= np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)
+            normal = None
+            if normals is not None:
+                normal = aim.figure.turn_to_world(normals.float().cpu().numpy().reshape(-1, 3)[held])
+            own = _of_pose(shares, pose) if passes.cryptomatte else None
             parts.append(
                 Samples(
-                    ray[held], depth.ravel()[held], alpha.ravel()[held], rgb.reshape(-1, 3)[held], thing.ravel()[held]
+                    ray[held], depth.ravel()[held], alpha.ravel()[held], rgb.reshape(-1, 3)[held],
+                    shares[:, 1:].sum(axis=-1), normal, own,
                 )
-            )
+            )  # fmt: skip
         return join(parts)
 
     def _aim(self, pose: Pose, camera: Camera, pixels: np.ndarray | None) -> _Aim:
@@ -234,7 +252,12 @@ def make_rays(
     )  # fmt: skip
 
 
-def _picture(camera: Camera, rows: np.ndarray, columns: np.ndarray, results: Sequence[RayResult]) -> Picture:
+def _of_pose(mattes: np.ndarray, pose: Pose) -> np.ndarray:
+    """[R, P] of the pose's parts, from [R, 1 + N] of the person and every slot."""
+    return mattes[:, (pose.person is None) : 1 + len(pose.objects)]
+
+
+def _fill(picture: Picture, aim: _Aim, pose: Pose, results: Sequence[RayResult]) -> Picture:
     """Averages subpixel rays; depth over those that hit something, weighted by their alpha."""
     empty = empty_picture(camera)
 
@@ -247,9 +270,12 @@ def _picture(camera: Camera, rows: np.ndarray, columns: np.ndarray, results: Seq
     depth = np.full(len(rows), EMPTY_DEPTH, dtype=np.float32)
     solid = total > 0
     depth[solid] = (np.where(alphas > 0, depths, 0.0) * alphas).sum(axis=0)[solid] / total[solid]
-    empty.rgb[rows, columns], empty.alpha[rows, columns] = mean("rgb"), mean("alpha")
-    empty.depth[rows, columns] = depth
-    empty.human[rows, columns], empty.object[rows, columns] = mean("human"), mean("object")
-    empty.confidence[rows, columns] = mean("confidence")
+    picture.depth[rows, columns] = depth
+    for name in ("rgb", "alpha", "human", "object", "confidence"):
+        getattr(picture, name)[rows, columns] = mean(name)
+    if picture.normal is not None:
+        picture.normal[rows, columns] = aim.figure.turn_to_world(mean("normal"))
+    if picture.parts is not None:
+        picture.parts[rows, columns] = _of_pose(mean("mattes"), pose)
     failed = float(np.mean([float(result.failed_share) for result in results]))
-    return Picture(empty.rgb, empty.alpha, empty.depth, empty.human, empty.object, empty.confidence, len(rows), failed)
+    return replace(picture, rays=len(rows), failed_share=failed)

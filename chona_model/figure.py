@@ -85,6 +85,10 @@ class Figure:
         centre = -rotation.T @ offset
         return (origins - centre) @ rotation.T, directions @ rotation.T
 
+    def turn_to_world(self, directions: np.ndarray) -> np.ndarray:
+        """Directions [..., 3] of root space in the world; float32."""
+        return np.asarray(directions @ self.root_from_world[:3, :3], dtype=np.float32)
+
 
 def make_figure(
     rig: Rig, world_from_bone: np.ndarray | None, world_from_object: np.ndarray, object_slots: int
@@ -207,20 +211,31 @@ class RayResult:
 
     Attributes:
         rgb: [R, 3]; alpha: [R]; depth: [R] alpha-weighted mean depth over alpha (1e10 where alpha is 0).
-        human, object: [R] share of the alpha that belongs to body bones and to objects.
+        mattes: [R, 1 + N] share of the alpha that belongs to body bones and to the object of each slot.
         confidence: [R] share of the samples (by weight where alpha > 0, else by count) whose root converged.
         failed_share: scalar in 0…1, samples without any converged root.
         regularisers: named training terms (``weights``, ``offset``), scalars; empty when rendering.
+        normal: [R, 3] mean of unit normals in root space, weighted as colours are; None where not asked for.
     """
 
     rgb: Tensor
     alpha: Tensor
     depth: Tensor
-    human: Tensor
-    object: Tensor
+    mattes: Tensor
     confidence: Tensor
     failed_share: Tensor
     regularisers: dict[str, Tensor]
+    normal: Tensor | None = None
+
+    @property
+    def human(self) -> Tensor:
+        """[R] share of the alpha that belongs to body bones."""
+        return self.mattes[:, 0]
+
+    @property
+    def object(self) -> Tensor:
+        """[R] share of the alpha that belongs to objects."""
+        return self.mattes[:, 1:].sum(dim=-1)
 
 
 @dataclass(frozen=True)

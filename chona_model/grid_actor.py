@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture
+from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture, part_count
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
@@ -21,9 +22,10 @@ from chona_model.grid_inputs import Surfaces, surfaces_for
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view, sample_view
 from chona_model.kernels.grid import fast, make_layout
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.render.occupancy import Occupancy, PartCells, make_coarser, whole_support, without_thin
 from chona_model.render.posed import depth_spans, window_of
-from chona_model.samples import join
+from chona_model.samples import join, no_samples
 from chona_model.settings import RenderSettings
 from chona_model.skeleton import Skeleton
 from chona_model.tensor_reader import IdentityRows, TensorReader
@@ -52,21 +54,28 @@ class GridActor:
         self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
         self._double: GridActor | None = None
 
-    def render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None) -> Picture:
+    def render(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None,
+        passes: Passes = DEFAULT_PASSES,
+    ) -> Picture:  # fmt: skip
         """Renders a view, or some ``pixels`` [H, W] bool of it.
 
         Raises:
             KeyError: the pose names an identity the model does not know.
         """
-        return render_scaled(self._in(settings.precision)._render, pose, camera, settings, pixels)
+        render = partial(self._in(settings.precision)._render, passes=passes)
+        return render_scaled(render, pose, camera, settings, pixels)
 
-    def sample(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray) -> Samples:
+    def sample(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray, passes: Passes = DEFAULT_PASSES
+    ) -> Samples:
         """What the rays of ``pixels`` [H, W] bool meet, at the camera's own size."""
         actor = self._in(settings.precision)
         ready = actor.ready(pose, settings)
         look: Any = sample_view if isinstance(ready, ReadyPose) else sample_on_device
         window = window_of(ready.part, ready.figure.figure, camera)
-        return join([look(actor.model, ready, camera, settings, band, pixels) for band in window.bands(TILE)])
+        bands = [look(actor.model, ready, camera, settings, band, pixels, passes) for band in window.bands(TILE)]
+        return join([no_samples(passes, part_count(pose)), *bands])
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
         """How many rays ``render`` would trace, without tracing any."""
@@ -85,13 +94,15 @@ class GridActor:
             self._double = GridActor(deepcopy(self.model).double())
         return self._double
 
-    def _render(self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None) -> Picture:
-        ready, picture, rays = self.ready(pose, settings), empty_picture(camera), 0
+    def _render(
+        self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None, passes: Passes
+    ) -> Picture:
+        ready, picture, rays = self.ready(pose, settings), empty_picture(camera, passes, part_count(pose)), 0
         roots = np.zeros(2)
         for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
             look: Any = render_view if isinstance(ready, ReadyPose) else render_on_device
-            view = look(self.model, ready, camera, settings, band, pixels)
-            _fill(picture, view)
+            view = look(self.model, ready, camera, settings, band, pixels, passes)
+            _fill(picture, view, pose)
             rays += len(view.rows)
             roots += view.values[:, 6:8].sum(axis=0, dtype=np.float64)
         return replace(picture, rays=rays, failed_share=float(roots[0] / max(roots[1], 1.0)))
@@ -237,7 +248,7 @@ def _codes(tensors: TensorReader, name: str, rows: Sequence[int]) -> Tensor:
     return tensors.rows(name, rows) if rows else torch.zeros(1, tensors.shape(name)[1])
 
 
-def _fill(picture: Picture, view: View) -> None:
+def _fill(picture: Picture, view: View, pose: Pose) -> None:
     """Writes what rays found to their pixels."""
     rows, columns, values = view.rows, view.columns, view.values
     alpha = np.clip(values[:, 3], 0.0, 1.0)
@@ -251,3 +262,8 @@ def _fill(picture: Picture, view: View) -> None:
     picture.object[rows, columns] = thing
     picture.human[rows, columns] = alpha - thing
     picture.confidence[rows, columns] = 1.0 - values[:, 6] / np.maximum(values[:, 7], 1.0)
+    if picture.normal is not None:
+        picture.normal[rows, columns] = view.normal
+    if picture.parts is not None:
+        alone = [*([alpha - thing] * (pose.person is not None)), *([thing] * len(pose.objects))]
+        picture.parts[rows, columns] = np.stack(alone, axis=-1) if view.parts is None else view.parts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,10 +16,11 @@ from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.grid_view import ACCEPT, LONGEST, View
 from chona_model.kernels.cpu.advance import COLUMNS
 from chona_model.kernels.warp import NewtonLimits, VolumeIndex
+from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.render.occupancy import Occupancy, PartCells
 from chona_model.render.posed import PosedPart, Window, depth_spans
 from chona_model.render.tracing import PoseTable, RayRows, Traced, TraceSettings, make_pose_table, trace
-from chona_model.samples import densest, join
+from chona_model.samples import densest, join, no_samples
 from chona_model.settings import RenderSettings
 
 CHUNK = 1 << 18
@@ -38,6 +39,19 @@ class DevicePose:
     pairs: Tensor
     codes: Tensor | None
     lights: Tensor
+
+    @property
+    def parts_shown(self) -> int:
+        """How many parts the pose has."""
+        return (self.figure.person >= 0) + len(self.figure.objects)
+
+    def part_of(self, slot: Tensor) -> Tensor:
+        """Which part of the pose samples are on, whose object slot is [M], or −1 on the person."""
+        return slot.long() + (self.figure.person >= 0)
+
+    def in_world(self, normal: Tensor) -> np.ndarray:
+        """Normals [M, 3] of root space in the world."""
+        return self.figure.figure.turn_to_world(normal.cpu().numpy())
 
 
 @torch.inference_mode()
@@ -65,7 +79,7 @@ class _Chunk:
 
 def _trace_all(
     model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, rows: Tensor, columns: Tensor,
-    spans: tuple[Tensor, Tensor],
+    spans: tuple[Tensor, Tensor], facing: bool,
 ) -> Iterator[_Chunk]:  # fmt: skip
     """All rays of pixels (rows, columns) [R], chunk by chunk."""
     near, far = spans
@@ -89,7 +103,7 @@ def _trace_all(
                 chunk, sub,
                 trace(
                     model, ready.table, ready.matrices, ready.index, rays, ready.pairs, ready.codes, ready.lights,
-                    tracing,
+                    tracing, facing,
                 ),
             )  # fmt: skip
 
@@ -110,32 +124,50 @@ def _seen(
 @torch.inference_mode()
 def render_on_device(
     model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window,
-    pixels: np.ndarray | None = None,
+    pixels: np.ndarray | None = None, passes: Passes = DEFAULT_PASSES,
 ) -> View:  # fmt: skip
     """As ``grid_view.render_view``."""
     rows, columns, spans = _seen(model, ready, camera, window, pixels)
     values, evaluated = spans[0].new_zeros(len(rows), COLUMNS), 0
-    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans):
+    normal, parts = values.new_zeros(len(rows), 3), values.new_zeros(len(rows), ready.parts_shown)
+    several = passes.cryptomatte and len(ready.figure.objects) > 1
+    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans, passes.normal):
         values[chunk.pixels, :6] += chunk.traced.out / settings.supersampling**2
         values[chunk.pixels, 6] += chunk.traced.failed
         values[chunk.pixels, 7] += chunk.traced.tried
         evaluated += chunk.traced.evaluated
-    return View(rows.cpu().numpy(), columns.cpu().numpy(), values.float().cpu().numpy(), evaluated)
+        found = chunk.traced.found
+        pixel, weight = chunk.pixels[found.ray], found.weight / settings.supersampling**2
+        if found.normal is not None:
+            normal.index_add_(0, pixel, weight[:, None] * found.normal)
+        if several:
+            parts.index_put_((pixel, ready.part_of(found.slot)), weight, accumulate=True)
+    return View(
+        rows.cpu().numpy(), columns.cpu().numpy(), values.float().cpu().numpy(), evaluated,
+        ready.in_world(normal) if passes.normal else None, parts.float().cpu().numpy() if several else None,
+    )  # fmt: skip
 
 
 @torch.inference_mode()
 def sample_on_device(
-    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window, pixels: np.ndarray
-) -> Samples:
+    model: GridModel, ready: DevicePose, camera: Camera, settings: RenderSettings, window: Window, pixels: np.ndarray,
+    passes: Passes = DEFAULT_PASSES,
+) -> Samples:  # fmt: skip
     """As ``grid_view.sample_view``."""
     rows, columns, spans = _seen(model, ready, camera, window, pixels)
-    places, parts = rows * camera.width + columns, []
-    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans):
+    places, parts = rows * camera.width + columns, [no_samples(passes, ready.parts_shown)]
+    for chunk in _trace_all(model, ready, camera, settings, rows, columns, spans, passes.normal):
         found = chunk.traced.found
         ray = places[chunk.pixels][found.ray] * settings.supersampling**2 + chunk.sub
         alpha = -torch.expm1(-found.density * settings.step)
         arrays = (ray, found.depth.float(), alpha.float(), found.rgb.float(), found.thing.float())
         whole = [array.cpu().numpy() for array in arrays]
         chosen = densest(whole[0], whole[1], whole[2])
-        parts.append(Samples(*(array[chosen] for array in whole)))
+        seen = Samples(*(array[chosen] for array in whole))
+        if found.normal is not None:
+            seen = replace(seen, normal=ready.in_world(found.normal)[chosen])
+        if passes.cryptomatte:
+            own = torch.nn.functional.one_hot(ready.part_of(found.slot), ready.parts_shown)
+            seen = replace(seen, parts=own.float().cpu().numpy()[chosen])
+        parts.append(seen)
     return join(parts)

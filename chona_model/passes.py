@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-PASSES = ("combined", "depth", "mattes", "confidence")
+PASSES = ("combined", "depth", "mattes", "confidence", "normal", "cryptomatte")
 """Every pass by name, in the order of a baked frame's layers."""
 
 
@@ -21,11 +21,15 @@ class Passes:
         depth: metres along the camera axis.
         mattes: which share of a pixel is the person, which an object.
         confidence: share of samples whose inverse skinning converged.
+        normal: which way surfaces face in the world.
+        cryptomatte: mattes of every person and object of every actor, by name.
     """
 
     depth: bool = True
     mattes: bool = True
     confidence: bool = True
+    normal: bool = False
+    cryptomatte: bool = False
 
     @classmethod
     def of(cls, names: Sequence[str]) -> Passes:
@@ -46,9 +50,9 @@ class Passes:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The passes that are not."""
-        return tuple(name for name in PASSES if name not in self.names)
+        """The passes that a frame has where nothing else is said, and this one has not."""
+        return tuple(name for name in Passes().names if name not in self.names)
 
 
-ALL_PASSES = Passes()
+DEFAULT_PASSES = Passes()
 """What is wanted where nothing else is said."""

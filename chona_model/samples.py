@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
 from chona_model.actor import EMPTY_DEPTH, Picture, Samples, merge
 from chona_model.camera import Camera
+from chona_model.passes import DEFAULT_PASSES, Passes
 
 CLOSEST_TO_OPAQUE = 1.0 - 1e-12
 """Opacity above which light that is left would be lost to rounding."""
 
 
+def no_samples(passes: Passes = DEFAULT_PASSES, parts: int = 0) -> Samples:
+    """None of anything, with what passes ask for; of a pose of so many parts."""
+    nothing, vectors = np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+    return Samples(
+        np.zeros(0, np.int64), nothing, nothing, vectors, nothing, vectors if passes.normal else None,
+        np.zeros((0, parts), np.float32) if passes.cryptomatte else None,
+    )  # fmt: skip
+
+
 def join(parts: Sequence[Samples]) -> Samples:
-    """Samples of several pieces of work; none for none."""
-    if not parts:
-        nothing = np.zeros(0, np.float32)
-        return Samples(np.zeros(0, np.int64), nothing, nothing, np.zeros((0, 3), np.float32), nothing)
-    names = ("ray", "depth", "alpha", "rgb", "thing")
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    """Samples of several pieces of work, one at least."""
+    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(Samples)}
+    joined: dict[str, Any] = {name: None if each[0] is None else np.concatenate(each) for name, each in columns.items()}
+    return Samples(**joined)
 
 
 def densest(ray: np.ndarray, depth: np.ndarray, density: np.ndarray) -> np.ndarray:
@@ -38,8 +47,25 @@ def over_each_other(pictures: Sequence[Picture]) -> np.ndarray:
 
 def beside_each_other(pictures: Sequence[Picture]) -> Picture:
     """One picture of several, right wherever at most one of them shows anything; the least confidence of all."""
-    together = reduce(lambda one, other: merge(one, other, (other.alpha > 0) & (one.alpha == 0)), pictures)
-    return replace(together, confidence=np.minimum.reduce([picture.confidence for picture in pictures]))
+    parts = [picture.parts for picture in pictures if picture.parts is not None]
+    alone = [replace(picture, parts=None) for picture in pictures]
+    together = reduce(lambda one, other: merge(one, other, (other.alpha > 0) & (one.alpha == 0)), alone)
+    return replace(
+        together, confidence=np.minimum.reduce([picture.confidence for picture in pictures]),
+        parts=np.concatenate(parts, axis=-1) if parts else None,
+    )  # fmt: skip
+
+
+def weights_along(ray: np.ndarray, alpha: np.ndarray, stop: float = 0.0) -> np.ndarray:
+    """[N] float64 share of its ray's light that each sample shows: w_i = α_i Π_{j<i} (1 − α_j).
+
+    Args:
+        ray: [N], those of one ray together and in order of depth; alpha: [N] opacities.
+        stop: transmittance behind which nothing is seen.
+    """
+    alpha = np.minimum(alpha.astype(np.float64), CLOSEST_TO_OPAQUE)
+    light = _transmittance(ray, alpha)
+    return np.where(light < stop, 0.0, light * alpha)
 
 
 def composite(actors: Sequence[Samples], camera: Camera, side: int, picture: Picture, pixels: np.ndarray) -> Picture:
@@ -51,11 +77,11 @@ def composite(actors: Sequence[Samples], camera: Camera, side: int, picture: Pic
     Args:
         side: rays a pixel along each axis.
     """
-    everything = join(actors)
+    everything = join([replace(samples, parts=None) for samples in actors])
     owner = np.repeat(np.arange(len(actors)), [len(actor.ray) for actor in actors])
     order = np.lexsort((everything.depth, everything.ray))
-    ray, alpha = everything.ray[order], np.minimum(everything.alpha[order].astype(np.float64), CLOSEST_TO_OPAQUE)
-    weight = _transmittance(ray, alpha) * alpha / side**2
+    ray = everything.ray[order]
+    weight = weights_along(ray, everything.alpha[order]) / side**2
     place, inverse = np.unique(ray // side**2, return_inverse=True)
 
     def gather(values: np.ndarray | float) -> np.ndarray:
@@ -79,7 +105,27 @@ def composite(actors: Sequence[Samples], camera: Camera, side: int, picture: Pic
     result.object[at] = np.clip(thing[wanted], 0.0, result.alpha[at])
     result.human[at] = result.alpha[at] - result.object[at]
     result.depth[at] = np.where(share > 0, depth / np.where(share > 0, share, 1.0), EMPTY_DEPTH)[wanted]
-    return result
+    facing = () if everything.normal is None else everything.normal[order].T
+    asked_for: dict[str, Any] = {}
+    for name, columns_of in (("normal", facing), ("parts", _part_columns(actors, order))):
+        if getattr(picture, name) is not None:
+            array = np.where(pixels[..., None], np.float32(0.0), getattr(picture, name))
+            for column, values in enumerate(columns_of):
+                array[*at, column] = gather(values)[wanted]
+            asked_for[name] = array
+    return replace(result, **asked_for)
+
+
+def _part_columns(actors: Sequence[Samples], order: np.ndarray) -> Iterator[np.ndarray]:
+    """Of every part of every actor, its share [N] of each of all actors' samples, which are put in order."""
+    begin = 0
+    for samples in actors:
+        end = begin + len(samples.ray)
+        for column in () if samples.parts is None else samples.parts.T:
+            shares = np.zeros(len(order), dtype=np.float32)
+            shares[begin:end] = column
+            yield shares[order]
+        begin = end
 
 
 def _transmittance(ray: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -67,9 +67,14 @@ def enlarge(picture: Picture, camera: Camera) -> Picture:
             for number, place in enumerate(source)
         )
     large = empty_picture(camera)
+    large = replace(large, normal=_blank(picture.normal, camera), parts=_blank(picture.parts, camera))
     if source[0] < source[1]:
         _interpolate(picture, large, source, target)
     return replace(large, rays=picture.rays, failed_share=picture.failed_share)
+
+
+def _blank(channel: np.ndarray | None, camera: Camera) -> np.ndarray | None:
+    return None if channel is None else np.zeros((camera.height, camera.width, channel.shape[2]), np.float32)
 
 
 Box = tuple[int, int, int, int]
@@ -98,9 +103,10 @@ def _interpolate(small: Picture, large: Picture, source: Box, target: Box) -> No
     def resize(channel: np.ndarray, method: Image.Resampling = Image.Resampling.BILINEAR) -> np.ndarray:
         return np.asarray(Image.fromarray(np.ascontiguousarray(channel[cut])).resize(size, method))
 
-    for name in ("alpha", "human", "object", "confidence"):
-        getattr(large, name)[own] = resize(getattr(small, name))
-    for k in range(3):
-        large.rgb[..., k][own] = resize(small.rgb[..., k])
+    for name, channel in small.channels.items():
+        if name != "depth":
+            to, given = (np.atleast_3d(array) for array in (getattr(large, name), channel))
+            for k in range(given.shape[2]):
+                to[..., k][own] = resize(given[..., k])
     depth = resize(small.depth, Image.Resampling.NEAREST)
     large.depth[own] = np.where(large.alpha[own] > 0, depth, np.float32(EMPTY_DEPTH))

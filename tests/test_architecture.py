@@ -36,7 +36,8 @@ FLOORS = (
     ("skeleton", "camera"),
     ("kernels",),
     ("command_line",),
-    ("settings", "geometry", "passes", "progress", "process", "arguments"),
+    ("study_line",),
+    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

@@ -1,24 +1,30 @@
-"""Baked frames: single-part EXR with colour, depth, mattes and confidence, as ``docs/file-formats.md`` describes them.
+"""Baked frames: single-part EXR with colour and what passes were asked for, as ``docs/file-formats.md`` describes them.
 
 Single-part, with a pass and a channel letter in every name: what every Blender from 4.2 on reads alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
 
+from chona_model import cryptomatte
+from chona_model.cryptomatte import Mattes
 from chona_model.formats.atomic import atomic_path
 from chona_model.formats.exr_structure import ExrError, check_exr
-from chona_model.passes import ALL_PASSES, Passes
+from chona_model.passes import DEFAULT_PASSES, Passes
 
 LAYER = "CHONA"
 EMPTY_DEPTH = 1e10
 """Depth of a pixel that nothing covers, as Blender writes it."""
 HALF_MAX = 65504.0
+CRYPTO_LAYER = f"{LAYER}.CryptoActor"
+"""The Cryptomatte, as its channels and the header call it."""
 _MATTES = {"human": "Human", "object": "Object", "confidence": "Confidence"}
 _PASSES_ATTRIBUTE = "chona:passes"
 
@@ -35,6 +41,8 @@ class FrameLayers:
         depth: [H, W] metres along the camera axis, ``EMPTY_DEPTH`` where empty.
         human, object: [H, W] share of the pixel's alpha that is the person or an object; both or none.
         confidence: [H, W] share of samples whose inverse skinning converged.
+        normal: [H, W, 3] in the world, of length one; 0 where empty.
+        cryptomatte: share of the pixel that is each person or object of each actor.
     """
 
     combined: np.ndarray
@@ -42,11 +50,14 @@ class FrameLayers:
     human: np.ndarray | None = None
     object: np.ndarray | None = None
     confidence: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    cryptomatte: Mattes | None = None
 
     @property
     def passes(self) -> Passes:
         """Which there are."""
-        return Passes(self.depth is not None, self.human is not None, self.confidence is not None)
+        given = (self.depth, self.human, self.confidence, self.normal, self.cryptomatte)
+        return Passes(*(array is not None for array in given))
 
 
 @dataclass(frozen=True)
@@ -86,15 +97,23 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         OSError: the disk is full or the folder cannot be written to.
     """
     _check_layers(layers)
-    channels = {
-        f"{LAYER}.Combined": np.clip(layers.combined, -HALF_MAX, HALF_MAX).astype(np.float16),
-    }
+    # OpenEXR writes zeros, without a word, of arrays that are not contiguous.
+    combined = np.clip(layers.combined, -HALF_MAX, HALF_MAX)
+    channels = {f"{LAYER}.Combined": np.ascontiguousarray(combined, dtype=np.float16)}
     if layers.depth is not None:
         channels[f"{LAYER}.Depth.Z"] = np.ascontiguousarray(layers.depth, dtype=np.float32)
     for field, name in _MATTES.items():
         pixels = getattr(layers, field)
         if pixels is not None:
             channels[f"{LAYER}.{name}.V"] = np.ascontiguousarray(pixels, dtype=np.float16)
+    if layers.normal is not None:
+        for axis, letter in enumerate("XYZ"):
+            channels[f"{LAYER}.Normal.{letter}"] = np.ascontiguousarray(layers.normal[..., axis], dtype=np.float16)
+    named: dict[str, str] = {}
+    if layers.cryptomatte is not None:
+        named = cryptomatte.attributes(CRYPTO_LAYER, layers.cryptomatte.names)
+        for level, pixels in enumerate(cryptomatte.rank(layers.cryptomatte)):
+            channels[f"{CRYPTO_LAYER}{level:02d}"] = np.ascontiguousarray(pixels, dtype=np.float32)
     attributes = {
         "type": OpenEXR.scanlineimage,
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -105,6 +124,7 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         "chona:seconds": float(header.seconds),
         "chona:frame": int(header.frame),
         _PASSES_ATTRIBUTE: _passes_text(layers.passes),
+        **named,
     }
     with atomic_path(path) as temporary:
         try:
@@ -125,12 +145,12 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
         with OpenEXR.File(str(path)) as file:
             attributes = dict(file.header())  # its own is emptied when the file closes
             pixels = {name: channel.pixels.astype(np.float32) for name, channel in file.channels().items()}
+        human, thing, confidence = (pixels.get(f"{LAYER}.{name}.V") for name in _MATTES.values())
         layers = FrameLayers(
-            pixels[f"{LAYER}.Combined"],
-            pixels.get(f"{LAYER}.Depth.Z"),
-            *(pixels.get(f"{LAYER}.{name}.V") for name in _MATTES.values()),
-        )
-        told = attributes.get(_PASSES_ATTRIBUTE, _passes_text(ALL_PASSES))
+            pixels[f"{LAYER}.Combined"], pixels.get(f"{LAYER}.Depth.Z"), human, thing, confidence,
+            _read_normal(pixels), _read_cryptomatte(pixels, attributes),
+        )  # fmt: skip
+        told = attributes.get(_PASSES_ATTRIBUTE, _passes_text(DEFAULT_PASSES))
         if _passes_text(layers.passes) != told or (layers.human is None) != (layers.object is None):
             raise ExrError(
                 f"{path} has the passes {_passes_text(layers.passes)}, its header says {told}: render it again"
@@ -143,20 +163,39 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
         raise ExrError(f"cannot read {path}: {error}; render it again") from error
 
 
-def is_finished(path: Path, model_hash: str, shot_hash: str, passes: Passes = ALL_PASSES) -> bool:
+def is_finished(
+    path: Path, model_hash: str, shot_hash: str, passes: Passes = DEFAULT_PASSES, matte_names: Sequence[str] = ()
+) -> bool:
     """Whether ``path`` is a whole frame of this model, pose, camera, settings and passes.
 
-    Anything else is rendered again.
+    Anything else is rendered again, as is a Cryptomatte of other names than ``matte_names``.
     """
     try:
         structure = check_exr(path)
     except ExrError:
         return False
-    whole = _passes_text(ALL_PASSES)  # what frames have that are older than the attribute
+    if passes.cryptomatte:
+        wanted = cryptomatte.attributes(CRYPTO_LAYER, tuple(dict.fromkeys(matte_names)))
+        if any(structure.text(name) != value for name, value in wanted.items()):
+            return False
+    whole = _passes_text(DEFAULT_PASSES)  # what frames have that are older than the attribute
     told = structure.text(_PASSES_ATTRIBUTE) or whole
     return (structure.text("chona:model"), structure.text("chona:shot"), told) == (
         model_hash, shot_hash, _passes_text(passes),
     )  # fmt: skip
+
+
+def _read_normal(pixels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    names = [f"{LAYER}.Normal.{letter}" for letter in "XYZ"]
+    return np.stack([pixels[name] for name in names], axis=-1) if names[0] in pixels else None
+
+
+def _read_cryptomatte(pixels: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> Mattes | None:
+    names = cryptomatte.names_of(CRYPTO_LAYER, attributes)
+    if names is None:
+        return None
+    levels = [pixels[f"{CRYPTO_LAYER}{level:02d}"] for level in range(cryptomatte.level_count(names))]
+    return cryptomatte.unrank(levels, names)
 
 
 def _passes_text(passes: Passes) -> str:
@@ -169,12 +208,16 @@ def _check_layers(layers: FrameLayers) -> None:
         raise ExrError(f"combined has the shape {layers.combined.shape}, expected [H, W, 4]")
     if (layers.human is None) != (layers.object is None):
         raise ExrError("there is a matte of the person or of objects alone; expected both or none")
-    for name in ("combined", "depth", *_MATTES):
-        array = getattr(layers, name)
+    arrays = {name: getattr(layers, name) for name in ("combined", "depth", *_MATTES, "normal")}
+    shapes = {"combined": (*size, 4), "normal": (*size, 3)}
+    if layers.cryptomatte is not None:
+        arrays["cryptomatte"] = layers.cryptomatte.coverage
+        shapes["cryptomatte"] = (*size, len(layers.cryptomatte.names))
+    for name, array in arrays.items():
         if array is None:
             continue
-        if name != "combined" and array.shape != size:
-            raise ExrError(f"{name} has the shape {array.shape}, expected {size} as combined")
+        if array.shape != shapes.get(name, size):
+            raise ExrError(f"{name} has the shape {array.shape}, expected {shapes.get(name, size)} as combined")
         if not np.isfinite(array).all():
             count = int((~np.isfinite(array)).sum())
             raise ExrError(f"{name} has {count} values that are not finite; such a frame would spoil a composite")

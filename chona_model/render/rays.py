@@ -21,8 +21,11 @@ def finite(rays: RayBatch) -> Tensor:
     return scalars & torch.isfinite(rays.origins).all(dim=-1) & torch.isfinite(rays.directions).all(dim=-1)
 
 
-def empty_result(rays: RayBatch, sound: Tensor, samples: int) -> RayResult:
+def empty_result(rays: RayBatch, sound: Tensor, samples: int, slots: int, facing: bool = False) -> RayResult:
     """Rays that miss: transparent, at the empty depth, certain; rays that are not sound fail with all their samples.
+
+    Args:
+        slots: objects there are mattes of; facing: whether there are normals.
 
     ``failed_share`` holds (failed, counted) until chunks are joined.
     """
@@ -32,17 +35,17 @@ def empty_result(rays: RayBatch, sound: Tensor, samples: int) -> RayResult:
         rgb=torch.zeros_like(rays.origins),
         alpha=zero,
         depth=torch.full_like(zero, EMPTY_DEPTH),
-        human=zero.clone(),
-        object=zero.clone(),
+        mattes=zero.new_zeros(len(zero), 1 + slots),
         confidence=sound.to(zero),
         failed_share=torch.stack([failed, failed]),
         regularisers={},
+        normal=torch.zeros_like(rays.origins) if facing else None,
     )
 
 
 def join(parts: list[RayResult]) -> RayResult:
     """Chunks one after the other; their counts of failed samples become the share of them all."""
     counts = torch.stack([part.failed_share for part in parts]).sum(dim=0).to(parts[0].alpha)
-    fields = ("rgb", "alpha", "depth", "human", "object", "confidence")
-    joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in fields}
+    names = ["rgb", "alpha", "depth", "mattes", "confidence", *([] if parts[0].normal is None else ["normal"])]
+    joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return RayResult(**joined, failed_share=safe_divide(counts[0], counts[1]), regularisers={})

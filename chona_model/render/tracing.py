@@ -123,13 +123,18 @@ class RayRows:
 
 @dataclass(frozen=True)
 class Found:
-    """Samples that were evaluated: ray [M], depth [M] metres, density [M] 1/m, rgb [M, 3], thing [M] bool."""
+    """Samples that were evaluated: ray [M], depth [M] metres, density [M] 1/m, rgb [M, 3], thing [M] bool, slot [M] of
+    those on objects, −1 of others; their weight [M] in the picture; and where asked for, normal [M, 3] in root space,
+    of length one or zero."""
 
     ray: Tensor
     depth: Tensor
     density: Tensor
     rgb: Tensor
     thing: Tensor
+    slot: Tensor
+    weight: Tensor
+    normal: Tensor | None
 
 
 @dataclass(frozen=True)
@@ -152,7 +157,7 @@ class Traced:
 
 def trace(
     model: GridModel, table: PoseTable, matrices: Tensor, index: VolumeIndex, rays: RayRows, pairs: Tensor,
-    codes: Tensor | None, lights: Tensor, settings: TraceSettings,
+    codes: Tensor | None, lights: Tensor, settings: TraceSettings, facing: bool = False,
 ) -> Traced:  # fmt: skip
     """Traces rays; differentiable in the field, the matrices and the lights.
 
@@ -160,6 +165,7 @@ def trace(
         matrices, index: from ``GridModel.matrices`` for the table's poses.
         pairs: [Q, 2] identity pairs; codes: [P, C] pose codes, or None for no occlusion.
         lights: [P, 9, 3] (see ``GridModel.root_light``).
+        facing: whether normals are wanted.
     """
     found: marching.Candidates[Tensor] = marching.march(
         rays.origins, rays.directions, rays.near, rays.far, rays.jitter, rays.pose, settings.step, table.grids,
@@ -188,13 +194,14 @@ def trace(
     normals = _root_normals(table, matrices.detach(), index, points.detach(), part, kind, pose)
     rgb = rgb * reference.gains(normals, lights[pose])
     depth = found.depth[chosen]
-    out, _ = integrate(
+    out, weight = integrate(
         density, rgb, first, depth, torch.full_like(depth, settings.step), kind >= 0, settings.stop * 0.1
     )
     count = len(rays.near)
     body_ray = found.ray[body].long()
     tried = torch.bincount(body_ray, minlength=count)
-    found_samples = Found(ray, depth, density, rgb, kind >= 0)
+    facings = _facings(table, matrices.detach(), index, points.detach(), part, kind, pose) if facing else None
+    found_samples = Found(ray, depth, density, rgb, kind >= 0, kind, weight, facings)
     return Traced(found_samples, out, torch.bincount(body_ray[failed[body]], minlength=count), tried, len(chosen))
 
 
@@ -202,11 +209,31 @@ def _root_normals(
     table: PoseTable, matrices: Tensor, index: VolumeIndex, points: Tensor, part: Tensor, kind: Tensor, pose: Tensor
 ) -> Tensor:
     """Root-space normals [M, 3] of candidates: turned with the blended matrix, or with their object."""
+    body = (kind < 0).nonzero()[:, 0]
+    return _turned(
+        table, points, part, kind, pose, body, reference.blended_rotations(matrices, points[body], pose[body], index)
+    )
+
+
+def _facings(
+    table: PoseTable, matrices: Tensor, index: VolumeIndex, points: Tensor, part: Tensor, kind: Tensor, pose: Tensor
+) -> Tensor:
+    """The same normals taken through the whole warp, at length one or zero (see ``kernels.cpu.face``)."""
+    body = (kind < 0).nonzero()[:, 0]
+    first, second, third = reference.warp(matrices, points[body], pose[body], index)[1].unbind(dim=-2)
+    rows = [torch.linalg.cross(second, third), torch.linalg.cross(third, first), torch.linalg.cross(first, second)]
+    normals = _turned(table, points, part, kind, pose, body, torch.stack(rows, dim=-2))
+    square = normals.square().sum(dim=-1, keepdim=True)
+    return torch.where(square > reference.FAINT, normals * square.clamp(min=reference.FAINT).rsqrt(), 0.0)
+
+
+def _turned(
+    table: PoseTable, points: Tensor, part: Tensor, kind: Tensor, pose: Tensor, body: Tensor, turns: Tensor
+) -> Tensor:
+    """Normals [M, 3] of candidates in root space, those on the ``body`` [B] turned by matrices [B, 3, 3]."""
     grids = table.occupancy
     normals = reference.normals_at(
         points, part, table.normals, grids.first, grids.dims, grids.origins, grids.inverse_cell
     )
     turned = table.slots.matrix[pose, kind.long().clamp(min=0), :, :3].transpose(-1, -2)
-    body = (kind < 0).nonzero()[:, 0]
-    rotations = reference.blended_rotations(matrices, points[body], pose[body], index)
-    return (turned.index_put((body,), rotations) @ normals[..., None])[..., 0]
+    return (turned.index_put((body,), turns) @ normals[..., None])[..., 0]

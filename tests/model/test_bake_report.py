@@ -17,6 +17,7 @@ from chona_model import shot_models as module
 from chona_model.bake import bake
 from chona_model.bake_report import BakeReport
 from chona_model.camera import ORTHOGRAPHIC
+from chona_model.cryptomatte import Mattes
 from chona_model.data.dataset import Pose
 from chona_model.formats.exr import FrameLayers, read_frame
 from chona_model.formats.exr_structure import check_exr
@@ -159,6 +160,8 @@ CHANNELS = {
     "depth": ["CHONA.Depth.Z"],
     "mattes": ["CHONA.Human.V", "CHONA.Object.V"],
     "confidence": ["CHONA.Confidence.V"],
+    "normal": [f"CHONA.Normal.{letter}" for letter in "XYZ"],
+    "cryptomatte": [f"CHONA.CryptoActor{level}.{letter}" for level in ("00", "01") for letter in "ABGR"],
 }
 
 
@@ -167,7 +170,7 @@ def test_a_pass_that_is_not_asked_for_is_not_there(tmp_path: Path) -> None:
     _, dataset = grid_file()
     shot = write_poses(tmp_path / "walk.shot.npz", dataset.views[0].camera, [dataset.views[0].pose])
     path = tmp_path / "out" / "walk_0001.exr"
-    run(tmp_path, shot)
+    run(tmp_path, shot, passes=Passes.of(PASSES))
     whole, _ = read_frame(path)
     size, digest = path.stat().st_size, check_exr(path).text("chona:shot")
     for wanted in ((), *((name,) for name in PASSES[1:])):
@@ -180,11 +183,14 @@ def test_a_pass_that_is_not_asked_for_is_not_there(tmp_path: Path) -> None:
         assert structure.text("chona:shot") == digest
         assert path.stat().st_size < size
         layers, _ = read_frame(path)
-        for name in ("combined", "depth", "human", "object", "confidence"):
-            array = getattr(layers, name)
+        for name in ("combined", "depth", "human", "object", "confidence", "normal", "cryptomatte"):
+            array, same = getattr(layers, name), getattr(whole, name)
             assert (array is None) == (name not in _fields(passes))
+            if isinstance(array, Mattes):
+                assert array.names == same.names == ("Sub01.Sub01", "Sub01.box01")
+                array, same = array.coverage, same.coverage
             if array is not None:
-                np.testing.assert_array_equal(array, getattr(whole, name))
+                np.testing.assert_array_equal(array, same)
         report = run(tmp_path, shot, passes=passes)
         assert (report.skipped, report.left_out.passes) == (1, passes.left_out)
     assert run(tmp_path, shot).written == 1
@@ -209,8 +215,7 @@ def test_colours_are_linear_premultiplied_and_cut_by_the_clip_range(tmp_path: Pa
 
 
 def _fields(passes: Passes) -> set[str]:
-    own = {"combined": ["combined"], "depth": ["depth"], "mattes": ["human", "object"], "confidence": ["confidence"]}
-    return {field for name in passes.names for field in own[name]}
+    return {field for name in passes.names for field in ({"mattes": ["human", "object"]}.get(name, [name]))}
 
 
 def test_two_actors_are_layered_alike_without_mattes() -> None:

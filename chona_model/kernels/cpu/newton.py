@@ -78,17 +78,37 @@ def _times(work, begin, x, y, z):
 
 
 @inlined
+def _jacobian(work, x, y, z):
+    """J of f at the point that ``work`` was blended at, row by row."""
+    return (
+        work[0] + _times(work, 16, x, y, z), work[1] + _times(work, 32, x, y, z), work[2] + _times(work, 48, x, y, z),
+        work[4] + _times(work, 20, x, y, z), work[5] + _times(work, 36, x, y, z), work[6] + _times(work, 52, x, y, z),
+        work[8] + _times(work, 24, x, y, z), work[9] + _times(work, 40, x, y, z), work[10] + _times(work, 56, x, y, z),
+    )  # fmt: skip
+
+
+@inlined
+def carry_normal(x, y, z, nx, ny, nz, volume, work):
+    """A surface's normal where f takes it, of any length, from the canonical point (x, y, z) and normal there.
+
+    It goes with the cofactors of J, det J · J⁻ᵀ: planes stay planes, which J itself does not keep upright.
+
+    Args:
+        work: [WORK] float32.
+    """
+    _blend(x, y, z, volume, work)
+    a, b, c, d, e, f, g, h, i = _jacobian(work, x, y, z)
+    return (
+        (e * i - f * h) * nx + (f * g - d * i) * ny + (d * h - e * g) * nz,
+        (c * h - b * i) * nx + (a * i - c * g) * ny + (b * g - a * h) * nz,
+        (b * f - c * e) * nx + (c * d - a * f) * ny + (a * e - b * d) * nz,
+    )
+
+
+@inlined
 def solve_jacobian(work, x, y, z, r0, r1, r2):
     """J⁻¹ r at the point that ``work`` was blended at."""
-    a = work[0] + _times(work, 16, x, y, z)
-    b = work[1] + _times(work, 32, x, y, z)
-    c = work[2] + _times(work, 48, x, y, z)
-    d = work[4] + _times(work, 20, x, y, z)
-    e = work[5] + _times(work, 36, x, y, z)
-    f = work[6] + _times(work, 52, x, y, z)
-    g = work[8] + _times(work, 24, x, y, z)
-    h = work[9] + _times(work, 40, x, y, z)
-    i = work[10] + _times(work, 56, x, y, z)
+    a, b, c, d, e, f, g, h, i = _jacobian(work, x, y, z)
     c00, c01, c02 = e * i - f * h, c * h - b * i, b * f - c * e
     c10, c11, c12 = f * g - d * i, a * i - c * g, c * d - a * f
     c20, c21, c22 = d * h - e * g, b * g - a * h, a * e - b * d
