@@ -259,7 +259,7 @@ def _of_pose(mattes: np.ndarray, pose: Pose) -> np.ndarray:
 
 def _fill(picture: Picture, aim: _Aim, pose: Pose, results: Sequence[RayResult]) -> Picture:
     """Averages subpixel rays; depth over those that hit something, weighted by their alpha."""
-    empty = empty_picture(camera)
+    rows, columns = aim.rows, aim.columns
 
     def mean(name: str) -> np.ndarray:
         return np.mean([getattr(result, name).float().cpu().numpy() for result in results], axis=0)
