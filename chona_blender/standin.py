@@ -13,8 +13,10 @@ import numpy as np
 from . import actions, jobs, standin_mesh
 from .errors import ChonaError
 from .rig.cast import Cast, cast
+from .rig.driver import Driver
 from .rig.validation import figure_scale
 from .standin_bind import bind, rest_frames
+from .standin_figure import make_figure_rig
 from .standin_file import PartMesh, read_stand_in
 from .worker import chona_command
 
@@ -112,7 +114,7 @@ def remove_stand_in(actor: CHONA_PG_actor) -> int:
     """Removes the actor's meshes and all that came with them; how many objects there were."""
     items = [part.object for part in actor.stand_in.parts if part.object is not None]
     actor.stand_in.parts.clear()
-    standin_mesh.remove_objects(items)
+    standin_mesh.remove_objects([*items, *_without_figure(actor)])
     return len(items)
 
 
@@ -120,8 +122,11 @@ def build(
     scene: bpy.types.Scene, actor: CHONA_PG_actor, found: Cast, parts: Sequence[PartMesh]
 ) -> list[bpy.types.Object]:
     """Mesh objects of an actor; those of parts that it has no longer are removed."""
-    driver = found.driver
-    bindings = [bind(driver, part) if part.kind == "person" and driver is not None else None for part in parts]
+    driver, to_figure = found.driver, actor.stand_in.follow == "FIGURE"
+    bindings = [
+        bind(driver, part, to_figure=to_figure) if part.kind == "person" and driver is not None else None
+        for part in parts
+    ]
     scale = _scale(found)
     kept = {part.name: part.object for part in actor.stand_in.parts if part.object is not None}
     made = []
@@ -129,7 +134,8 @@ def build(
         item = _object(scene, actor, kept.pop(part.name, None), part)
         standin_mesh.fill(item, part, part.vertices if binding is None else binding.vertices)
         if binding is not None:
-            standin_mesh.attach_to_armature(item, found.plan.armature, binding)
+            figure = _figure(scene, actor, driver) if to_figure else None
+            standin_mesh.attach_to_armature(item, found.plan.armature, binding, figure)
         else:
             standin_mesh.attach_to_object(item, found.plan.objects[part.name], scale)
         made.append(item)
@@ -137,8 +143,25 @@ def build(
     for part, item in zip(parts, made, strict=True):
         entry = actor.stand_in.parts.add()
         entry.name, entry.object = part.name, item
-    standin_mesh.remove_objects(list(kept.values()))
+    standin_mesh.remove_objects([*kept.values(), *([] if to_figure else _without_figure(actor))])
     return made
+
+
+def _figure(scene: bpy.types.Scene, actor: CHONA_PG_actor, driver: Driver) -> bpy.types.Object:
+    """The armature of the figure's own proportions, made or brought up to date."""
+    item = actor.stand_in.figure
+    if item is None:
+        item = actor.stand_in.figure = standin_mesh.new_armature(f"{actor.label} Figure")
+    if not item.users_collection:
+        standin_mesh.collection_of(scene).objects.link(item)
+    make_figure_rig(driver, item)
+    return item
+
+
+def _without_figure(actor: CHONA_PG_actor) -> list[bpy.types.Object]:
+    """Lets go of the armature of the figure's own proportions: what is to be removed."""
+    item, actor.stand_in.figure = actor.stand_in.figure, None
+    return [] if item is None else [item]
 
 
 def _object(

@@ -32,13 +32,17 @@ class Binding:
     groups: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
-def bind(driver: Driver, part: PartMesh) -> Binding:
+def bind(driver: Driver, part: PartMesh, *, to_figure: bool = False) -> Binding:
     """Poses a person's mesh as its armature rests.
+
+    Args:
+        to_figure: weights by the model's bones, for an armature of the figure's own (``standin_figure``); else by the
+            bones of the user's.
 
     Raises:
         ChonaError: the armature's object is mirrored or sheared, or a bone that moves the figure deforms no meshes.
     """
-    groups = bone_groups(driver, part)
+    groups = model_groups(driver, part) if to_figure else bone_groups(driver, part)
     world = np.array(driver.armature.matrix_world, dtype=np.float64)
     frames, scale = rest_frames(driver, world)
     posed = scale * skin(frames, driver.skeleton.joints, part)
@@ -67,6 +71,16 @@ def skin(world_from_bone: np.ndarray, joints: np.ndarray, part: PartMesh) -> np.
     return posed
 
 
+def model_groups(driver: Driver, part: PartMesh) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Weights by the model's bones."""
+    found = {}
+    for index in np.unique(part.bones[part.bones >= 0]):
+        weight = np.where(part.bones == index, part.weights, 0.0).sum(axis=1)
+        held = np.flatnonzero(weight > 0.0)
+        found[driver.skeleton.names[int(index)]] = held, weight[held]
+    return found
+
+
 def bone_groups(driver: Driver, part: PartMesh) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Weights by the armature's bones.
 
@@ -83,18 +97,34 @@ def bone_groups(driver: Driver, part: PartMesh) -> dict[str, tuple[np.ndarray, n
         at = int(index)
         while not driver.mapping.bones[names[at]] and parents[at] >= 0:
             at = parents[at]
-        chain = driver.mapping.bones[names[at]]
-        if not chain:
-            raise ChonaError(f"Bone '{names[at]}' of the model maps to nothing. Choose a bone for it under Rig, Bones")
+        chain = _deforming(driver, names[at])
         for bone in chain:
-            if not driver.armature.data.bones[bone].use_deform:
-                raise ChonaError(
-                    f"bone '{bone}' of armature '{driver.armature.name}', which moves '{names[at]}', deforms no "
-                    "meshes; switch on its Deform (Bone properties), or choose another bone under Rig, Bones"
-                )
             dense[bone] = dense.get(bone, 0.0) + weight / len(chain)
     found = {}
     for bone, weight in dense.items():
         held = np.flatnonzero(weight > 0.0)
         found[bone] = held, weight[held]
     return found
+
+
+def _deforming(driver: Driver, name: str) -> list[str]:
+    """Bones of the armature for a model's bone that armature modifiers heed.
+
+    Where a control moves the figure, as it may be named like the model's bone, the nearest deforming bone of the same
+    part of the body stands in for it.
+    """
+    chain = driver.mapping.bones[name]
+    if not chain:
+        raise ChonaError(f"Bone '{name}' of the model maps to nothing. Choose a bone for it under Rig, Bones")
+    bones = driver.armature.data.bones
+    kept = [bone for bone in chain if bones[bone].use_deform]
+    if kept:
+        return kept
+    same = driver.mapping.rig.parts.get(driver.mapping.model.part_of(name)[0], ())
+    others = [bone for bone in same if bones[bone].use_deform]
+    if not others:
+        raise ChonaError(
+            f"bone '{chain[0]}' of armature '{driver.armature.name}', which moves '{name}', deforms no meshes; set "
+            "Follow to Figure under Stand-In, switch on the bone's Deform, or choose another bone under Rig, Bones"
+        )
+    return [min(others, key=lambda bone: float(np.linalg.norm(driver.heads[bone] - driver.heads[chain[0]])))]

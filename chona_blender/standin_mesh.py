@@ -85,8 +85,20 @@ def new_material(name: str, colours: np.ndarray) -> Material:
     return material
 
 
-def attach_to_armature(item: Object, armature: Object, binding: Binding) -> None:
-    """Weights and the modifier; the object stands in the armature's space."""
+def new_armature(name: str) -> Object:
+    """An armature without bones that nobody sees, in no collection yet."""
+    item = bpy.data.objects.new(name, bpy.data.armatures.new(name))
+    item[KEY] = name
+    item.hide_select = item.hide_viewport = item.hide_render = True
+    return item
+
+
+def attach_to_armature(item: Object, armature: Object, binding: Binding, figure: Object | None = None) -> None:
+    """Weights and the modifier; the object stands in the armature's space.
+
+    Args:
+        figure: in the armature's space too, deforms the mesh instead of it.
+    """
     item.vertex_groups.clear()
     for bone, (indices, weights) in binding.groups.items():
         group = item.vertex_groups.new(name=bone)
@@ -95,7 +107,7 @@ def attach_to_armature(item: Object, armature: Object, binding: Binding) -> None
     modifier = item.modifiers.get(MODIFIER)
     if modifier is None:
         modifier = item.modifiers.new(MODIFIER, "ARMATURE")
-    modifier.object = armature
+    modifier.object = armature if figure is None else figure
     modifier.use_vertex_groups, modifier.use_bone_envelopes = True, False
     _hang(item, armature, 1.0)
 
@@ -120,13 +132,14 @@ def _hang(item: Object, parent: Object, scale: float) -> None:
 
 def remove_objects(items: list[Object]) -> None:
     """Removes objects with their meshes, and whatever else this module made that nothing uses any more."""
-    meshes = {item.data for item in items}
+    contents = {item.data for item in items}
+    meshes = [data for data in contents if isinstance(data, Mesh)]
     materials = {slot for mesh in meshes for slot in mesh.materials if slot is not None and KEY in slot}
     for item in items:
         bpy.data.objects.remove(item)
-    for mesh in meshes:
-        if mesh.users == 0:
-            bpy.data.meshes.remove(mesh)
+    for data in contents:
+        if data.users == 0:
+            (bpy.data.meshes if isinstance(data, Mesh) else bpy.data.armatures).remove(data)
     for material in materials:
         if material.users == 0:
             bpy.data.materials.remove(material)

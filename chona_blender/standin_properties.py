@@ -31,6 +31,22 @@ USES = (
 )
 
 
+FOLLOWS = (
+    (
+        "RIG",
+        "Rig",
+        "An armature modifier on your rig: the mesh bends where the rig has its joints. For rigs with the figure's "
+        "proportions",
+    ),
+    (
+        "FIGURE",
+        "Figure",
+        "Through a hidden armature of the figure's own proportions that your rig moves: hands and feet come where a "
+        "bake has them. For rigs of another body",
+    ),
+)
+
+
 def _use_changed(self: "CHONA_PG_stand_in", _context: bpy.types.Context) -> None:
     for item in self.present():
         self.apply_use(item)
@@ -67,6 +83,15 @@ class CHONA_PG_stand_in(bpy.types.PropertyGroup):
         name="Bounding Proxy",
         description="Show its bounding box instead of the mesh in the viewport; renders keep the mesh",
         update=_proxy_changed,
+    )
+    follow: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Follow",
+        description="What moves the person's mesh; counts when the stand-in is made",
+        items=FOLLOWS,
+        default="RIG",
+    )
+    figure: bpy.props.PointerProperty(  # type: ignore[valid-type]
+        name="Figure", description="The hidden armature of the figure's proportions", type=bpy.types.Object
     )
     voxel: bpy.props.FloatProperty(  # type: ignore[valid-type]
         name="Detail",

@@ -23,6 +23,8 @@ class CHONA_PT_stand_in(Sidebar, bpy.types.Panel):
         settings = context.scene.chona.actor.stand_in
         column = self.columns()
         column.prop(settings, "voxel")
+        if context.scene.chona.actor.person:
+            column.row().prop(settings, "follow", expand=True)
         row = self.layout.row(align=True)
         present = standin.stand_ins(context.scene.chona.actor)
         row.operator(
