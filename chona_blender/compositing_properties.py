@@ -36,7 +36,7 @@ class CHONA_PG_composite(bpy.types.PropertyGroup):
         default=DEPTH,
     )
     shadows: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Shadows and Reflections",
+        name="Shadows",
         description="Let the figure's stand-ins cast its shadow and show in mirrors while the camera does not see them",
         default=False,
     )

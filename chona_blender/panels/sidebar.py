@@ -6,7 +6,7 @@ import blf
 import bpy
 
 UI_FONT = 0
-BESIDE_TEXT, LEAST_TEXT = 84.0, 80.0
+BESIDE_TEXT, LEAST_TEXT = 104.0, 80.0
 """Pixels at scale 1: margins, a box and an icon beside a text; and the least width that is left for it."""
 
 
