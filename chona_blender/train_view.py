@@ -17,7 +17,7 @@ PICTURE = "chona.training"
 LOG, PREVIEW, MODEL = "log.jsonl", "preview.png", "model.safetensors"
 SIDE = 360
 """Pixels of the picture's sides."""
-PREVIEW_SHARE = 0.45
+PREVIEW_SHARE = 0.55
 """Of its height, the part with the model and the truth."""
 EVERY_SECONDS = 1.0
 """Files are looked at as often."""
@@ -75,9 +75,9 @@ def compose(preview: np.ndarray | None, log: TrainLog, side: int = SIDE) -> np.n
     """[side, side, 3] in 0…1: the preview [H, W, 3] above the curves; curves alone where there is none."""
     if preview is None:
         return draw_curves(log, (side, side))
-    height = int(side * PREVIEW_SHARE)
+    height = round(side * PREVIEW_SHARE)
     scale = min(side / preview.shape[1], height / preview.shape[0])
-    size = tuple(max(1, int(scale * length)) for length in preview.shape[:2])
+    size = tuple(max(1, round(scale * length)) for length in preview.shape[:2])
     rows, columns = ((np.arange(new) * old / new).astype(int) for new, old in zip(size, preview.shape[:2], strict=True))
     top = np.broadcast_to(np.array(pictures.BACKGROUND), (height, side, 3)).copy()
     left, above = (side - size[1]) // 2, (height - size[0]) // 2

@@ -11,7 +11,7 @@ from ..train_view import PICTURE
 from .sidebar import Sidebar, wrapped
 
 SHEET_LINES = 6
-"""Warnings shown at once; all of them are in the report of the operator's command."""
+"""Warnings shown at once; ``chona check-data`` prints all."""
 
 
 def draw_picture(layout: bpy.types.UILayout, name: str, context: bpy.types.Context) -> None:

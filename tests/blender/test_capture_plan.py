@@ -87,6 +87,14 @@ def test_the_estimate_is_near_the_truth(answer: dict) -> None:
     assert answer["all there"] == [0, 6, 0, 6] and answer["unchanged"] == [1, True]
 
 
+def test_armatures_of_every_family_can_be_captured(answer: dict) -> None:
+    assert {"rigify", "mixamo A-pose"} <= set(answer["families"])
+    for name, case in answer["families"].items():
+        assert case["bones"] >= 16 and not case["warnings"], name
+        assert case["away"] == pytest.approx(case["drawn"], rel=0.02), f"{name}: drawn where they stand"
+        assert 1.2 < case["height"] < 1.9, f"{name}: metres, whatever the armature's unit"
+
+
 def command(python: str, folder: Path, *more: str) -> tuple[list[str], dict[str, str]]:
     variables = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(SCRIPTS)])

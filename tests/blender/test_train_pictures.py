@@ -100,10 +100,10 @@ def test_pictures_are_read_as_they_are_stored(drawn: tuple[Path, dict]) -> None:
     assert np.abs(np.load(folder / "truth.npy") - truth).max() < 1e-6
     composed = np.load(folder / "composed.npy")
     assert composed.shape == (100, 100, 3)
-    # 40 x 30 in 100 x 45: scaled by 1.5, in the middle.
-    part = composed[:45, 20:80]
-    assert np.abs(part - truth[np.arange(45) * 30 // 45][:, np.arange(60) * 40 // 60]).max() < 1e-6
-    assert np.abs(composed[:45, :20] - 0.11).max() < 1e-6
+    # 40 x 30 in 100 x 55: scaled by 55 / 30, in the middle.
+    part = composed[:55, 13:86]
+    assert np.abs(part - truth[np.arange(55) * 30 // 55][:, np.arange(73) * 40 // 73]).max() < 1e-6
+    assert np.abs(composed[:55, :13] - 0.11).max() < 1e-6
     assert answer["images"] == 0, "nothing is left in the file"
 
 

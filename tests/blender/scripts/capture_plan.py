@@ -15,9 +15,11 @@ import tiny_character
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from operation_scene import say
+from rig_bodies import RIGS, Rig, build
 
 import chona_blender
 from chona_blender import capturing, ring_view
+from chona_blender.capture import performance
 from chona_blender.capture_ring import Ring, Space, cut_off, ring_cameras, ring_poses, ring_radius
 from chona_blender.errors import ChonaError
 
@@ -33,6 +35,27 @@ def error_of(call: object) -> str:
     except ChonaError as error:
         return str(error)
     return ""
+
+
+def planned(rig: Rig) -> dict:
+    """What a capture of a family's armature with a mesh on it would be."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    item = build(rig)
+    bpy.ops.mesh.primitive_cube_add(size=0.3, location=(0, 0, 1))
+    bpy.context.object.modifiers.new("rig", "ARMATURE").object = item
+    scene = bpy.context.scene
+    scene.frame_end, scene.chona.capture_armature = 1, item
+    scene.chona.capture_folder = str(folder / "family")
+    wanted = capturing.check_capture(scene)
+    with performance(scene, capturing.cast_of(scene), wanted) as shown:
+        middles = np.mean([camera.matrix_world.translation for camera in shown.cameras], axis=0)
+        away = [np.linalg.norm(np.array(camera.matrix_world.translation)[:2] - middles[:2]) for camera in shown.cameras]
+    place = ring_view.place_of(scene)
+    return {
+        "bones": len(shown.description["skeleton"]["names"]), "person": wanted.person, "away": float(max(away)),
+        "drawn": ring_radius(wanted.ring, place.space, wanted.width, wanted.height), "warnings": shown.warnings,
+        "height": float(np.ptp(shown.rest.canonical_joints[:, 1])),
+    }  # fmt: skip
 
 
 scene = tiny_character.build()
@@ -102,5 +125,6 @@ for name in ("capture", "estimate_capture"):
         answer["operators"].append(str(getattr(bpy.ops.chona, name)()))
     except RuntimeError as error:
         answer["operators"].append(str(error))
+answer["families"] = {name: planned(rig) for name, rig in RIGS.items()}
 chona_blender.unregister()
 say(answer)

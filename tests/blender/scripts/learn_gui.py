@@ -89,7 +89,7 @@ def story() -> Iterator[float]:
         answer[name] = call("train")
         yield 0.5
     answer["states"] = [row.state for row in train_rows.rows()]
-    yield from until(lambda: jobs.running() is not None and jobs.running().share > 0.6, 60.0 * minutes + 120.0)
+    yield from until(lambda: jobs.running() is not None and jobs.running().share > 0.85, 60.0 * minutes + 120.0)
     yield from picture("5_training", times=2)
     answer["while"] = jobs.running().text
     call("pause_training")
