@@ -31,8 +31,8 @@ STAGES = (Stage("draft", 0.0, 0.0, 0.2), Stage("preview", 0.3, 0.5, 0.5), Stage(
 DEARER = 4.0
 """How many times the seconds a pixel of the stage before, until a stage's own are known."""
 
-PATIENCE_SECONDS = 0.5
-"""How long a picture may lag behind a figure that moves before it is hidden."""
+PATIENCE_SECONDS = (0.5, 2.0)
+"""How long a picture may lag behind a figure that moves before it is hidden: at least, and where drafts are slow."""
 
 
 class Pace:
@@ -50,8 +50,9 @@ class Pace:
 
     @property
     def patience(self) -> float:
-        """Seconds that a picture may lag behind: longer where drafts take so long that all would be hidden."""
-        return max(PATIENCE_SECONDS, 2.0 * self._draft_seconds)
+        """Seconds that a picture may lag behind: the time of two drafts, so that slow ones do not flicker."""
+        shortest, longest = PATIENCE_SECONDS
+        return min(max(shortest, 2.0 * self._draft_seconds), longest)
 
     def scale(self, stage: int, image: ImageFormat, frame_width: float) -> float:
         """Share of an image's resolution to render a stage at, more than 0 and at most 1.

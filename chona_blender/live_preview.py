@@ -38,7 +38,7 @@ MODEL_SECONDS = 1.0
 
 LOADING = "loading the model"
 WAITING = "waiting for the worker"
-START_AGAIN = "press Start Again under Live Preview"
+START_AGAIN = "press Start Again"
 
 
 @dataclass(frozen=True)
@@ -159,14 +159,20 @@ class LivePreview:
 
     def _doubt(self, scene: bpy.types.Scene, now: float) -> None:
         """While a picture takes long, hide the one before if the figure has moved on: it must not stand still there."""
-        waits = self._changed is not None and now - self._changed > self._pace.patience
-        if not waits or now < self._sample_from or self.canvas.is_empty or self._shot is None:
+        asked = self._asked
+        moved = asked is not None and asked.stage == 0 and asked.number > self._shown
+        since = asked.changed if asked is not None and moved else self._changed
+        if self.canvas.is_empty or since is None or now - since < self._pace.patience:
             return
-        if _same(self._sample(scene, actions.actor_plans(scene)), self._shot):
-            self._changed = None
-        else:
+        if not moved:  # a better picture of a pose at rest is under way, and something has changed: perhaps the pose
+            if now < self._sample_from or self._shot is None:
+                return
+            moved = not _same(self._sample(scene, actions.actor_plans(scene)), self._shot)
+        if moved:
             self._show(scene, None)
             self._tell(scene, WAITING)
+        else:
+            self._changed = None
 
     def _follow(self, scene: bpy.types.Scene) -> None:
         """Sample the scene and ask for a draft, if it shows something else than before."""
@@ -211,12 +217,12 @@ class LivePreview:
         self._asked = Asked(number, stage, changed, image)
 
     def _take(self, scene: bpy.types.Scene, frame: Frame, asked: Asked) -> None:
-        """Learn how long a stage takes, and show its picture unless the figure has long moved on."""
+        """Learn how long a stage takes, and show its picture, unless it refines a pose that the figure has left."""
         self._shown = frame.number
         height, width = frame.depth.shape
         self._pace.learn(asked.stage, frame.seconds, width * height)
         now = time.monotonic()
-        if self.canvas.is_empty and self._changed is not None and now - self._changed > self._pace.patience:
+        if asked.stage > 0 and self._changed is not None and now - self._changed > self._pace.patience:
             return
         self._show(scene, Picture(frame.rgba, asked.image))
         milliseconds = 1000.0 * (now - asked.changed)
