@@ -9,11 +9,11 @@ from pathlib import Path
 from chona_model.arguments import Parser, SourceAction, frame_list, name_list, number, whole
 from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
-from chona_model.settings import PRESETS
+from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
+from chona_model.study_line import add_reproduce
 
-METHODS = ("chona", "no-cil")
-LATER_METHODS = ("object-translation", "tava", "arah", "arah-object")
-"""Named on the command line; not part of this version."""
+METHODS = ("chona", "no-cil", "object-translation", "tava")
+"""Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
@@ -46,7 +46,7 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
     train.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for model, log and checkpoint")
-    train.add_argument("--method", default="chona", metavar="|".join(METHODS), help="default: chona")
+    train.add_argument("--method", choices=METHODS, default="chona", help="default: chona")
     train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
@@ -113,13 +113,8 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     estimate.add_argument("--preset", default=DEFAULT_PRESET, metavar="P", help=f"to calibrate with; {_PRESET_HELP}")
     estimate.add_argument("--seconds", type=number(0, 600, above=True), default=2.0, metavar="S", help="of calibration")
 
-    served = add("serve", "stay up and render poses that come in on standard input (for the add-on's previews)")
-    served.add_argument("--model", type=Path, required=True, metavar="FILE")
-    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    add_reproduce(add("reproduce", "make a table of the paper again", long=True))
 
-    info = add("info", "show what a model file holds")
-    info.add_argument("file", type=Path, metavar="FILE")
-    info.add_argument("--json", action="store_true", help="as JSON")
     stand_in = add("stand-in", "make meshes of a model's person and objects, for viewports and shadows", long=True)
     stand_in.add_argument("--model", type=Path, required=True, metavar="FILE")
     stand_in.add_argument("--person", metavar="P", help="default: none, the objects alone")
@@ -130,6 +125,13 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     )
     stand_in.add_argument("--faces", type=whole(100, 10**8), metavar="N", help="triangles of each mesh at most")
 
+    served = add("serve", "stay up and render poses that come in on standard input (for the add-on's previews)")
+    served.add_argument("--model", type=Path, required=True, metavar="FILE")
+    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+
+    info = add("info", "show what a model file holds")
+    info.add_argument("file", type=Path, metavar="FILE")
+    info.add_argument("--json", action="store_true", help="as JSON")
 
     check = add("check-data", "show whether a capture is understood")
     check.add_argument("data", type=Path, metavar="DIR")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from chona_model import process
 from chona_model.arguments import UsageError, sources_of, writable_file, writable_folder
-from chona_model.command_line import LATER_METHODS, METHODS
 from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device
 from chona_model.passes import Passes
 from chona_model.presets import find_preset
@@ -28,10 +27,6 @@ VIEWS_CHECKED = 9
 
 def train_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Learns a model."""
-    if arguments.method in LATER_METHODS:
-        raise UsageError(f"--method {arguments.method} is not part of this version; it trains {' and '.join(METHODS)}")
-    if arguments.method not in METHODS:
-        raise UsageError(f"--method is '{arguments.method}', expected {' or '.join(METHODS)}")
     sources_of(arguments.sources)
     out = writable_folder(arguments.out, "--out")
     dataset, statement = open_sources(arguments)
@@ -84,13 +79,14 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     out = writable_folder(arguments.out, "--out")
     device = resolve_device(arguments.device)
     from chona_model.bake import bake
+    from chona_model.blur import BlurChoice
 
-        blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
-        only_missing=arguments.only_missing,
     progress.check()
     report = bake(
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
         device=device, passes=passes, max_error=arguments.max_error,
+        blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
+        only_missing=arguments.only_missing,
     )  # fmt: skip
     words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
     return finish(progress, words, **report.as_dict())
@@ -140,6 +136,7 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
         )
     device = resolve_device(arguments.device)
     from chona_model.bake import choose_frames
+    from chona_model.blur import BlurChoice
     from chona_model.shot_models import find_models
     from chona_model.trade.estimate import estimate, reference_shot
 
@@ -153,7 +150,8 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     started = time.perf_counter() - process.BEGAN
     # A ray of another model costs something else: where there are several, all presets are timed here.
     trade = header.trade if set(models.paths) == {arguments.model} else None
-    found = estimate(actors, shot, frames, trade, arguments.preset, arguments.seconds, started)
+    blur = BlurChoice().of(shot)
+    found = estimate(actors, shot, frames, trade, arguments.preset, arguments.seconds, started, blur)
     lines = [
         f"{name}: {'' if each.psnr is None else f'{each.psnr:.1f} dB, '}{each.seconds_per_frame:.2f} s a frame here; "
         f"{found.frames} frame{'s' * (found.frames > 1)} ≈ {each.total_seconds:.0f} s"
@@ -162,9 +160,6 @@ def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     return finish(progress, "\n".join(lines), **found.as_dict())
 
 
-def serve_command(arguments: argparse.Namespace, _progress: Progress) -> int:
-    """Renders what comes in."""
-    from chona_model.formats.model_file import read_header
 def stand_in_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Makes meshes of a person and objects."""
     from chona_model.formats.model_file import read_header
@@ -184,6 +179,9 @@ def stand_in_command(arguments: argparse.Namespace, progress: Progress) -> int:
     return finish(progress, f"{made.sentence()}; wrote {out}", out=str(out), **asdict(made))
 
 
+def serve_command(arguments: argparse.Namespace, _progress: Progress) -> int:
+    """Renders what comes in."""
+    from chona_model.formats.model_file import read_header
 
     read_header(arguments.model)
     device = resolve_device(arguments.device)

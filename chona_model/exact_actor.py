@@ -67,10 +67,14 @@ class ExactActor:
             KeyError: the model does not know the person; the message names those it knows.
         """
         if person is None:
-            return Rig(self.skeleton, np.zeros((len(self.skeleton), 3)), self.object_distance)
+            return self._rig(np.zeros((len(self.skeleton), 3)))
         if person not in self.persons:
             raise KeyError(f"the model has no person '{person}'; it has: {', '.join(self.persons) or 'none'}")
-        return Rig(self.skeleton, self.persons[person].rest_joints, self.object_distance)
+        return self._rig(self.persons[person].rest_joints)
+
+    def _rig(self, joints: np.ndarray) -> Rig:
+        shape = self.model.shape
+        return Rig(self.skeleton, joints, self.object_distance, shape.turns_objects, shape.reach)
 
     def figure(self, pose: Pose) -> tuple[Figure, Rig, PoseBatch]:
         """A pose in root space, its rig, and as tensors.

@@ -20,6 +20,8 @@ class ExactShape:
         lower, upper: corners of canonical space, metres; nothing outside has density.
         object_distance: metres from the root joint to the canonical object (+z), as ``Rig``'s.
         object_lower, object_upper: corners of each object identity's box in its own frame; empty for points.
+        turns_objects: whether pseudo bones turn, or only move (see ``methods.py``); reach: metres beyond a body's own
+            reach in which a person may hold what has no bone.
         deform, radiance: sizes of the perceptrons.
     """
 
@@ -33,6 +35,8 @@ class ExactShape:
     code_size: int = 64
     object_lower: tuple[Corner, ...] = ()
     object_upper: tuple[Corner, ...] = ()
+    turns_objects: bool = True
+    reach: float = 0.0
     deform: DeformShape = field(default_factory=DeformShape)
     radiance: FieldShape = field(default_factory=FieldShape)
 

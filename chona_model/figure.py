@@ -49,11 +49,15 @@ class Rig:
         rest_joints: [B, 3] canonical joints of this person, metres.
         object_distance: how far in front of the root joint (+z) objects are placed in canonical space, metres; see
             ``object_places``.
+        turns_objects: whether objects turn; else they only move, and keep the world's axes.
+        reach: metres beyond a body's own reach in which a person may hold what has no bone.
     """
 
     skeleton: Skeleton
     rest_joints: np.ndarray
     object_distance: float
+    turns_objects: bool = True
+    reach: float = 0.0
 
     def canonical_objects(self, slots: int) -> np.ndarray:
         """[N, 3] canonical position of the object frame of each slot."""
@@ -121,6 +125,8 @@ def make_figure(
     if world_from_bone is not None:
         transforms[:bones] = canonical_to_world(world_from_bone, rig.rest_joints)
         present[:bones] = True
+    if objects and not rig.turns_objects:
+        world_from_object = translation(world_from_object[:, :3, 3])
     if objects:
         transforms[bones : bones + objects] = world_from_object @ translation(-rig.canonical_objects(objects))
         present[bones : bones + objects] = True

@@ -23,6 +23,9 @@ from chona_model.skeleton import Skeleton
 BODY_MARGIN = 0.25
 """The canonical box of a person reaches this far beyond its joints, metres (head, hands, hair, hats)."""
 
+SURFACE_MARGIN = 0.12
+"""The same beyond a body model's surface, which has hands and a head: clothes, hair and shoes, metres."""
+
 OBJECT_MARGIN = 0.04
 """The box of an object reaches this far beyond its given extent, metres."""
 
@@ -37,6 +40,8 @@ class GridModelShape:
         occupancy_cell: metres.
         offset_rank: shapes in the offset's basis; 0 for none.
         object_slots: objects a pose may have.
+        turns_objects: whether pseudo bones turn, or only move (see ``methods.py``).
+        reach: metres beyond a person's own box that its canonical space has for what it holds.
     """
 
     field: GridShape = GridShape()
@@ -45,6 +50,8 @@ class GridModelShape:
     occupancy_cell: float = 0.015
     offset_rank: int = 4
     object_slots: int = 1
+    turns_objects: bool = True
+    reach: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -115,8 +122,9 @@ class GridModel(nn.Module):
             points = [person.rest_joints, self.skeleton.bone_tails(person.rest_joints)]
             if person.surface is not None:
                 points.append(person.surface.vertices)
-            lower.append(np.concatenate(points).min(axis=0) - (BODY_MARGIN if person.surface is None else 0.12))
-            upper.append(np.concatenate(points).max(axis=0) + (BODY_MARGIN if person.surface is None else 0.12))
+            margin = (BODY_MARGIN if person.surface is None else SURFACE_MARGIN) + self.shape.reach
+            lower.append(np.concatenate(points).min(axis=0) - margin)
+            upper.append(np.concatenate(points).max(axis=0) + margin)
         for thing in self.objects:
             lower.append(np.asarray(thing.lower) - OBJECT_MARGIN)
             upper.append(np.asarray(thing.upper) + OBJECT_MARGIN)
@@ -135,7 +143,7 @@ class GridModel(nn.Module):
     def rig(self, person: int) -> Rig:
         """The rig of a person; of no person (−1), one with joints at the origin, for objects alone."""
         joints = self.persons[person].rest_joints if person >= 0 else np.zeros((len(self.skeleton), 3))
-        return Rig(self.skeleton, joints, self.object_distance)
+        return Rig(self.skeleton, joints, self.object_distance, self.shape.turns_objects, self.shape.reach)
 
     @property
     def device(self) -> torch.device:

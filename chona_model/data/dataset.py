@@ -105,6 +105,7 @@ class View:
     """One image of one frame. A missing mask means that part is not in the picture, or that the set lacks it.
 
     Attributes:
+        held_masks: of what counts as the person because nothing else moves it.
         camera: a pinhole; ``lens`` says what the file's pixels have besides.
         ray_share: how many rays a training step draws of this image beside those of a BEHAVE image (paper: 2048 for
             BEHAVE, 1024 for ZJU-MoCap, 512 for CO3D).
@@ -121,6 +122,7 @@ class View:
     masks: MaskRule = MaskRule()
     lens: Lens | None = None
     ray_share: float = 1.0
+    held_masks: tuple[Path, ...] = ()
 
     @property
     def label(self) -> str:
@@ -208,6 +210,8 @@ def load_pixels(view: View, scale: float = 1.0) -> Pixels:
             "images that belong to this calibration"
         )
     person, obj = (_read_mask(path, size, view) for path in (view.person_mask, view.object_mask))
+    for path in view.held_masks:
+        person = person | _read_mask(path, size, view)
     if view.lens is not None:
         rgb = view.lens.undistort(rgb, view.camera.intrinsics)
     obj = obj & ~person

@@ -19,6 +19,7 @@ from chona_model.data.dataset import Dataset, DatasetError, load_pixels
 from chona_model.evaluate.metrics import mean_of_known, score
 from chona_model.formats.atomic import atomic_path, write_bytes
 from chona_model.formats.model_file import file_hash, read_header
+from chona_model.methods import method_of
 from chona_model.model_store import load_actor
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -42,10 +43,11 @@ def evaluate(
         DatasetError: no views, or a view's person or object is unknown to the model.
         ModelFileError: the model cannot be loaded.
     """
+    header = read_header(model)
+    dataset = method_of(header.method).dataset(dataset)
     views = dataset.views
     if not views:
         raise DatasetError("there is not one view to evaluate; check the folder and --sequences with check-data")
-    header = read_header(model)
     check_identities(dataset, header.persons, header.objects)
     actor = load_actor(model, device, list(dataset.persons), list(dataset.objects))
     settings = find_preset(preset)

@@ -36,7 +36,7 @@ def figure_spans(figure: Figure, rig: Rig, boxes: Sequence[Box], camera: Camera)
     bones = len(rig.skeleton)
     if figure.present[0]:
         points = _posed(figure.transforms[:bones], _bone_points(rig))
-        _splat(points, matrix, camera, BODY_REACH + 0.5 * SPACING, near, far)
+        _splat(points, matrix, camera, BODY_REACH + rig.reach + 0.5 * SPACING, near, far)
     places = rig.canonical_objects(len(boxes))
     for slot, box in enumerate(boxes):
         points = _box_points(box) + places[slot]

@@ -10,7 +10,8 @@ from pathlib import Path
 from chona_model.actor import Actor
 from chona_model.data.dataset import Dataset, DatasetError, View
 from chona_model.evaluate.run import check_identities, machine
-from chona_model.formats.model_file import file_hash, write_trade
+from chona_model.formats.model_file import file_hash, read_header, write_trade
+from chona_model.methods import method_of
 from chona_model.model_store import load_actor
 from chona_model.presets import check_name, every_preset, save_preset
 from chona_model.progress import Progress
@@ -73,6 +74,7 @@ def measure_trade(model: Path, dataset: Dataset, out: Path, run: TradeRun, progr
     """
     if run.save_as is not None:
         check_name(run.save_as)
+    dataset = method_of(read_header(model).method).dataset(dataset)
     if not dataset.views:
         raise DatasetError("there is not one view to measure on; check the folder and --sequences with check-data")
     actor = load_actor(model, run.device)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from chona_model.exact_actor import ExactActor, make_rays
 from chona_model.exact_shape import ExactShape
 from chona_model.field.codes import draw_invariant_codes, step_generator
 from chona_model.figure import Figure, PoseBatch, object_places
+from chona_model.methods import METHODS, Method
 from chona_model.render.bounds import figure_spans
 from chona_model.render.rays import take_rays
 from chona_model.settings import PREDICTED, ExactSettings, InverseSettings
@@ -59,7 +60,10 @@ class PaperSettings:
 
 @dataclass(frozen=True)
 class _Image:
-    """Reachable pixels of one view: places [K, 2], depths [K], rgb [K, 3] uint8, part [K] (1 person, 2 object)."""
+    """Reachable pixels of one view: places [K, 2], depths [K], rgb [K, 3] uint8, part [K] (1 person, 2 object).
+
+    ``ray_share`` is the view's.
+    """
 
     moment: int
     camera: Camera
@@ -68,6 +72,7 @@ class _Image:
     far: np.ndarray
     rgb: np.ndarray
     part: np.ndarray
+    ray_share: float
 
 
 class ExactTrainer:
@@ -77,7 +82,7 @@ class ExactTrainer:
         dataset: what to learn from; settings: how.
         seed: of everything random, together with the step.
         device: where to compute; image_scale: size of the images used.
-        method: ``chona``, or ``no-cil`` to leave compositional invariant learning out.
+        method: what of objects' motion is told, and whether there is compositional invariant learning.
 
     Raises:
         DatasetError: no views, numbers that are not finite, or no view shows the figure.
@@ -85,15 +90,18 @@ class ExactTrainer:
 
     def __init__(
         self, dataset: Dataset, settings: PaperSettings, seed: int, device: str = "cpu", image_scale: float = 1.0,
-        method: str = "chona", shape: ExactShape | None = None,
+        method: Method = METHODS["chona"], shape: ExactShape | None = None,
     ) -> None:  # fmt: skip
+        dataset = method.dataset(dataset)
         check_dataset(dataset)
         groups = group_by_pose(dataset, image_scale)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
-        self.rays = max(MIN_RAYS, round(settings.rays * image_scale**2))
+        self.rays = settings.rays * image_scale**2
         distance = object_distance(dataset)
-        model = ExactModel(shape or make_shape(dataset, distance)).to(device)
+        told = {"turns_objects": method.objects != "placed", "reach": method.reach}
+        shape = replace(shape or make_shape(dataset, distance, method.reach), **told)  # type: ignore[arg-type]
+        model = ExactModel(shape).to(device)
         persons, objects = dict(dataset.persons), dict(dataset.objects)
         self._actor = ExactActor(model, dataset.skeleton, persons, objects, distance)
         self._initialise(dataset)
@@ -138,8 +146,11 @@ class ExactTrainer:
             rgb = np.round(pixels.rgb[rows, columns] * 255).astype(np.uint8)
             places = np.stack([columns, rows], axis=-1).astype(np.int16)
             found.append(
-                _Image(moment, view.camera, places, near[rows, columns], far[rows, columns], rgb, part.astype(np.int8))
-            )
+                _Image(
+                    moment, view.camera, places, near[rows, columns], far[rows, columns], rgb, part.astype(np.int8),
+                    view.ray_share,
+                )
+            )  # fmt: skip
         return found
 
     def step(self, index: int, share: float) -> dict[str, float]:
@@ -154,7 +165,7 @@ class ExactTrainer:
         settings, model = self.settings, self._actor.model
         random = np.random.default_rng([self.seed, index])
         image = self.images[random.integers(len(self.images))]
-        pick = random.integers(len(image.places), size=self.rays)
+        pick = random.integers(len(image.places), size=max(MIN_RAYS, round(self.rays * image.ray_share)))
         poses, like = self.poses[image.moment], next(model.parameters())
         rays = make_rays(
             self.figures[image.moment], image.camera, image.places[pick] + 0.5, image.near[pick], image.far[pick], like,
@@ -162,7 +173,7 @@ class ExactTrainer:
         )  # fmt: skip
         part = torch.as_tensor(image.part[pick], device=like.device)
         persons, objects = poses.persons.expand(len(pick)), poses.objects.expand(len(pick), -1)
-        if self.method == "chona":
+        if self.method.invariant_codes:
             persons, objects = draw_invariant_codes(
                 persons, objects, part == 1, part == 2, n_persons=model.shape.n_persons,
                 n_objects=model.shape.n_objects, seed=self.seed, step=index,
@@ -216,8 +227,8 @@ class ExactTrainer:
         restore_adam(self.optimiser, state)
 
 
-def make_shape(dataset: Dataset, distance: float) -> ExactShape:
-    """Canonical space around all persons in T-pose and all objects in front of them."""
+def make_shape(dataset: Dataset, distance: float, reach: float = 0.0) -> ExactShape:
+    """Canonical space around all persons in T-pose, ``reach`` metres wider, and all objects in front of them."""
     slots = max(max((len(view.pose.objects) for view in dataset.views), default=0), 1)
     points = [np.zeros((1, 3))]
     roots = [np.zeros(3)]
@@ -230,7 +241,8 @@ def make_shape(dataset: Dataset, distance: float) -> ExactShape:
             for place in object_places(distance, slots):
                 points.append(np.stack([thing.lower, thing.upper]) + root + place)
     everything = np.concatenate(points[1:] if len(points) > 1 else points)
-    lower, upper = everything.min(axis=0) - BODY_MARGIN, everything.max(axis=0) + BODY_MARGIN
+    margin = BODY_MARGIN + reach
+    lower, upper = everything.min(axis=0) - margin, everything.max(axis=0) + margin
     return ExactShape(
         bones=len(dataset.skeleton), object_slots=slots, n_persons=len(dataset.persons),
         n_objects=len(dataset.objects), lower=_corner(lower), upper=_corner(upper),

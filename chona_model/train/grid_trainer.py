@@ -18,6 +18,7 @@ from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.kernels.cpu.advance import Starts
 from chona_model.kernels.grid import fast
+from chona_model.methods import METHODS, Method
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.posed import PosedPart
 from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
@@ -48,7 +49,7 @@ class GridTrainer:
         settings: how; shape: sizes of the model.
         seed: of everything random, together with the step.
         image_scale: size of the images used.
-        method: ``chona``, or ``no-cil`` to leave compositional invariant learning out.
+        method: what of objects' motion is told, and whether there is compositional invariant learning.
         device, dtype: float32 on the CPU is for the fused kernels; anything else takes the stages of tensors.
 
     Raises:
@@ -56,15 +57,18 @@ class GridTrainer:
     """
 
     def __init__(
-        self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0, method: str = "chona",
-        shape: GridModelShape | None = None, device: str = "cpu", dtype: torch.dtype = torch.float32,
+        self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0,
+        method: Method = METHODS["chona"], shape: GridModelShape | None = None, device: str = "cpu",
+        dtype: torch.dtype = torch.float32,
     ) -> None:  # fmt: skip
+        dataset = method.dataset(dataset)
         check_dataset(dataset)
         self.groups = group_by_pose(dataset, image_scale)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
         slots = max((len(view.pose.objects) for view in dataset.views), default=0)
         shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
+        shape = replace(shape, turns_objects=method.objects != "placed", reach=method.reach)
         guessed = any(person.surface is None for person in dataset.persons.values())
         self.learns_skinning = guessed or settings.refine_given_weights
         self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
@@ -180,10 +184,10 @@ class GridTrainer:
             self.model.volume(index).rendering_weights = None
 
     def _draw(self, pose: int, count: int, random: np.random.Generator) -> DrawnRays:
-        """Rays of one pose from one of its views, jittered inside their pixels."""
+        """Rays of one pose from one of its views, jittered inside their pixels; ``count`` of a BEHAVE image."""
         pool: ViewPool = self.pools[pose][random.integers(len(self.pools[pose]))]
-        pick = random.integers(len(pool.rows), size=count)
-        places = np.stack([pool.columns[pick], pool.rows[pick]], axis=-1) + random.random((count, 2))
+        pick = random.integers(len(pool.rows), size=max(1, round(count * pool.ray_share)))
+        places = np.stack([pool.columns[pick], pool.rows[pick]], axis=-1) + random.random((len(pick), 2))
         origins, directions = self.posed[pose].figure.rays(pool.camera, places)
         return DrawnRays(
             origins.astype(np.float32), directions.astype(np.float32), pool.near[pick], pool.far[pick], pool.rgb[pick],
@@ -200,7 +204,7 @@ class GridTrainer:
         persons = torch.tensor([figure.person for figure in self.posed])[torch.from_numpy(pose).long()]
         objects = shown[torch.from_numpy(pose).long()]
         n_persons, n_objects = len(self.model.persons), len(self.model.objects)
-        if self.method == "chona" and (n_persons > 1 or n_objects > 1):
+        if self.method.invariant_codes and (n_persons > 1 or n_objects > 1):
             persons, objects = draw_invariant_codes(
                 persons, objects, torch.from_numpy(part == 1), torch.from_numpy(part == 2),
                 n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index,

@@ -24,6 +24,9 @@ INSIDE_SHARE = 0.95
 OWN_SHARE = 0.05
 """… and inside its own part's mask in this share: a cell that is always seen as the object is not the person's."""
 
+HELD_SHARE = 0.5
+"""The same where what is held belongs to the person: it is not where the body says in every frame."""
+
 BODY_REACH = 0.10
 """Cells farther from the body model's surface than this are empty (clothes, hair and shoes fit), metres."""
 
@@ -44,6 +47,7 @@ def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[S
         is_person = part < len(model.persons)
         if is_person:
             cells = cells[_near_body(model, part, occupancy.centres(part, cells))]
+        share = HELD_SHARE if is_person and model.shape.reach > 0.0 else INSIDE_SHARE
         centres = occupancy.centres(part, cells)
         inside, own, seen = (np.zeros(len(cells), dtype=np.int32) for _ in range(3))
         for pose, row, masks in zip(poses, views, union, strict=True):
@@ -57,7 +61,7 @@ def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[S
                 carve(
                     posed, matrix, intrinsics, pixels.person if is_person else pixels.object, own, np.zeros_like(seen)
                 )
-        kept = (seen > 0) & (inside >= INSIDE_SHARE * seen) & (own >= OWN_SHARE * seen)
+        kept = (seen > 0) & (inside >= share * seen) & (own >= OWN_SHARE * seen)
         occupancy.part(part)[:] = 0.0
         occupancy.part(part)[cells[kept]] = UNKNOWN_DENSITY
     occupancy.support[:] = occupancy.densities > 0
@@ -66,10 +70,11 @@ def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[S
 def _near_body(model: GridModel, person: int, centres: np.ndarray) -> np.ndarray:
     surface, joints = model.persons[person].surface, model.persons[person].rest_joints
     if surface is not None:
-        return cKDTree(surface.vertices).query(centres, distance_upper_bound=BODY_REACH)[0] < BODY_REACH
+        reach = BODY_REACH + model.shape.reach
+        return cKDTree(surface.vertices).query(centres, distance_upper_bound=reach)[0] < reach
     tails = model.skeleton.bone_tails(joints)
     near = [distance_to_bones(chunk, joints, tails).min(axis=1) for chunk in np.array_split(centres, 64)]
-    return np.concatenate(near) < BONE_REACH
+    return np.concatenate(near) < BONE_REACH + model.shape.reach
 
 
 def _posed_centres(model: GridModel, part: int, pose: PosedFigure, centres: np.ndarray) -> np.ndarray | None:

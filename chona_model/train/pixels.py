@@ -29,6 +29,7 @@ class ViewPool:
     Attributes:
         columns, rows: [K] int16; near, far: [K] float32 depths; rgb: [K, 3] uint8.
         part: [K] int8: 0 background, 1 person, 2 object.
+        ray_share: the view's.
     """
 
     camera: Camera
@@ -38,6 +39,7 @@ class ViewPool:
     far: np.ndarray
     rgb: np.ndarray
     part: np.ndarray
+    ray_share: float = 1.0
 
 
 def group_by_pose(dataset: Dataset, scale: float) -> list[PoseViews]:
@@ -80,6 +82,7 @@ def make_pools(
                     view.camera, columns.astype(np.int16), rows.astype(np.int16), near[rows, columns],
                     far[rows, columns],
                     np.round(pixels.rgb[rows, columns] * 255).astype(np.uint8), part.astype(np.int8),
+                    view.ray_share,
                 )
             )  # fmt: skip
         pools.append(row)

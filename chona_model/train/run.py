@@ -11,6 +11,7 @@ from torch import Tensor
 
 from chona_model.actor import Actor
 from chona_model.data.dataset import Dataset
+from chona_model.methods import METHODS
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
 from chona_model.train.checkpoint import load_checkpoint, save_checkpoint
@@ -22,7 +23,6 @@ from chona_model.train.preview import NAME as PREVIEW
 from chona_model.train.preview import Preview
 from chona_model.train.repeatable import repeatable
 
-METHODS = ("chona", "no-cil")
 DEFAULT_STEPS = {"fast": 4000, "paper": 100_000}
 CHECKPOINT_SECONDS = 60.0
 LOG_EVERY = 20
@@ -37,7 +37,7 @@ class TrainRun:
     """What to train and for how long.
 
     Attributes:
-        method: ``chona`` or ``no-cil``; preset: ``fast`` or ``paper``.
+        method: one of ``methods.METHODS``; preset: ``fast`` or ``paper``.
         minutes, steps: the budget, one of them; neither means the preset's usual number of steps.
         image_scale: size of the images used, 0…1.
         device, seed: as everywhere.
@@ -77,19 +77,20 @@ def make_trainer(dataset: Dataset, run: TrainRun) -> tuple[Trainer, dict[str, An
         ValueError: an unknown method or preset.
     """
     if run.method not in METHODS:
-        raise ValueError(f"method '{run.method}' is not in this version; it trains: {', '.join(METHODS)}")
+        raise ValueError(f"method '{run.method}' is unknown; expected one of {', '.join(METHODS)}")
+    method = METHODS[run.method]
     if run.preset == "fast":
         from chona_model.train.fast_settings import FastSettings
         from chona_model.train.grid_trainer import GridTrainer
 
         settings = FastSettings()
-        fast = GridTrainer(dataset, settings, run.seed, run.image_scale, run.method, device=run.device)
+        fast = GridTrainer(dataset, settings, run.seed, run.image_scale, method, device=run.device)
         return fast, asdict(settings)
     if run.preset == "paper":
         from chona_model.train.exact_trainer import ExactTrainer, PaperSettings
 
         paper = PaperSettings()
-        trainer = ExactTrainer(dataset, paper, run.seed, run.device, run.image_scale, run.method)
+        trainer = ExactTrainer(dataset, paper, run.seed, run.device, run.image_scale, method)
         return trainer, asdict(paper)
     raise ValueError(f"training preset '{run.preset}' is unknown; expected fast or paper")
 

@@ -14,6 +14,7 @@ from tiny_capture import tiny_capture
 from chona_model.data.dataset import Dataset
 from chona_model.field.grid import GridShape
 from chona_model.grid_model import GridModel, GridModelShape
+from chona_model.methods import METHODS, Method
 from chona_model.render.tracing import TraceSettings
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
@@ -27,7 +28,7 @@ SETTINGS = replace(
 )  # fmt: skip
 
 
-def tiny_trainer(dataset: Dataset, seed: int = 0, method: str = "chona") -> GridTrainer:
+def tiny_trainer(dataset: Dataset, seed: int = 0, method: Method = METHODS["chona"]) -> GridTrainer:
     """A trainer of a small model."""
     return GridTrainer(dataset, SETTINGS, seed, method=method, shape=SHAPE)
 

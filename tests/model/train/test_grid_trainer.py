@@ -13,6 +13,7 @@ from tiny_models import SETTINGS, SHAPE, tiny_trainer, trained
 
 from chona_model.data.dataset import DatasetError, load_pixels
 from chona_model.evaluate.metrics import psnr
+from chona_model.methods import METHODS
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from chona_model.train.grid_trainer import GridTrainer, _wrong_part
@@ -89,7 +90,7 @@ def test_invariant_learning_exchanges_the_code_that_a_ray_does_not_show(capture)
     assert set(drawn[100:200, 1].tolist()) == {0, 1}
     assert (drawn[200:, 1] == figure.objects[0]).all()
     assert set(drawn[200:, 0].tolist()) == {0, 1}
-    plain = tiny_trainer(capture, method="no-cil")
+    plain = tiny_trainer(capture, method=METHODS["no-cil"])
     pairs, index = plain._identities(pose, part, 5)
     assert (pairs[index[:, 0]] == torch.tensor([figure.person, figure.objects[0]])).all()
 

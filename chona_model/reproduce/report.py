@@ -1,0 +1,124 @@
+"""A table as it was made, beside the paper's: JSON, Markdown, and a picture for every row."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from chona_model.evaluate.run import machine
+from chona_model.formats.atomic import atomic_path, write_bytes
+from chona_model.reproduce.cell import Protocol
+from chona_model.reproduce.tables import Cell, Table
+
+TILE_WIDTH = 256
+CAPTION = 18
+
+Results = Mapping[tuple[str, str], Mapping[str, Any]]
+"""Cells' results by row and column."""
+
+
+def write_report(out: Path, name: str, table: Table, results: Results, protocol: Protocol) -> None:
+    """Writes ``NAME.json``, ``NAME.md`` and a picture for every row that has results.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    content = {
+        "table": name, "title": table.title, "source": table.source, "protocol": asdict(protocol),
+        "machine": machine(), "rows": _rows(table, results),
+    }  # fmt: skip
+    write_bytes(out / f"{name}.json", json.dumps(content, indent=1).encode())
+    write_bytes(out / f"{name}.md", to_markdown(table, results, protocol).encode())
+
+
+def _rows(table: Table, results: Results) -> dict[str, Any]:
+    rows: dict[str, Any] = {}
+    for row, words in table.rows.items():
+        tests = {}
+        for test, column in table.tests.items():
+            made = results.get((row, column), {}).get("tests", {}).get(test)
+            paper = words.paper.get(test)
+            tests[test] = {
+                "psnr": made and made["psnr"], "ssim": made and made["ssim"], "views": made and made["views"],
+                "paper_psnr": paper and paper[0], "paper_ssim": paper and paper[1],
+            }  # fmt: skip
+        rows[row] = {"label": words.label, "tests": tests}
+    return rows
+
+
+def to_markdown(table: Table, results: Results, protocol: Protocol) -> str:
+    """The table in Markdown: PSNR and SSIM made here, in brackets the paper's; – where a cell was not made."""
+    budget = f"{protocol.minutes:g} minutes" if protocol.steps is None else f"{protocol.steps} steps"
+    dry = f", {protocol.frames} frames of every identity (dry run)" if protocol.frames is not None else ""
+    lines = [
+        f"# {table.title}", "",
+        f"{table.source}. Every cell: {budget} of training, preset {protocol.preset}, images x "
+        f"{protocol.image_scale:g}, rendered with {protocol.quality}, seed {protocol.seed}{dry}. "
+        "In brackets: the paper's figures, on the real data.", "",
+        "| | " + " | ".join(table.tests) + " | mean |",
+        "|---|" + "---|" * (len(table.tests) + 1),
+    ]  # fmt: skip
+    for row, words in _rows(table, results).items():
+        cells, figures = [], []
+        for test in words["tests"].values():
+            ours = "–" if test["psnr"] is None else f"{test['psnr']:.2f} / {test['ssim']:.4f}"
+            theirs = "" if test["paper_psnr"] is None else f" ({test['paper_psnr']:.1f} / {test['paper_ssim']:.3f})"
+            cells.append(ours + theirs)
+            figures.append((test["psnr"], test["paper_psnr"]))
+        lines.append(f"| {words['label']} (`{row}`) | " + " | ".join(cells) + f" | {_mean(figures)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _mean(figures: list[tuple[float | None, float | None]]) -> str:
+    """Mean PSNR over the tests that both have, ours and the paper's; over ours where the paper has none."""
+    ours = [made for made, _ in figures if made is not None]
+    if not ours:
+        return "–"
+    both = [(made, paper) for made, paper in figures if made is not None and paper is not None]
+    paper = f" ({np.mean([paper for _, paper in both]):.1f})" if both else ""
+    return f"{np.mean(ours):.2f}{paper}"
+
+
+def draw_row(path: Path, row: str, cells: list[tuple[Cell, Path]], table: Table) -> None:
+    """A picture of one row: for every test one view as it is, and as the method makes it.
+
+    Args:
+        cells: those that were made, with their folders.
+    """
+    pairs = []
+    for cell, folder in cells:
+        for test in cell.column.tests:
+            images = folder / "images" / test.replace(" ", "-")
+            targets = sorted(images.glob("*_TARGET.png"))
+            if targets:
+                target = targets[len(targets) // 2]
+                others = sorted(images.glob(target.name.replace("_TARGET", "_*")))
+                kept = [target, *(each for each in others if each != target)]
+                pairs.append((test, [(each, each.stem.rsplit("_", 1)[-1].lower()) for each in kept]))
+    if not pairs:
+        return
+    height = max(len(column) for _, column in pairs)
+    tiles = [[_tile(file) for file, _ in column] for _, column in pairs]
+    tall = max(tile.height for column in tiles for tile in column)
+    sheet = Image.new("RGB", (TILE_WIDTH * len(pairs), CAPTION + height * (tall + CAPTION)), "white")
+    pen = ImageDraw.Draw(sheet)
+    for x, ((test, column), drawn) in enumerate(zip(pairs, tiles, strict=True)):
+        pen.text((x * TILE_WIDTH + 4, 3), f"{table.rows[row].label}: {test}", fill="black")
+        for y, ((_, caption), tile) in enumerate(zip(column, drawn, strict=True)):
+            top = CAPTION + y * (tall + CAPTION)
+            sheet.paste(tile, (x * TILE_WIDTH, top))
+            pen.text((x * TILE_WIDTH + 4, top + tall + 3), caption, fill="black")
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _tile(file: Path) -> Image.Image:
+    with Image.open(file) as image:
+        size = (TILE_WIDTH, max(1, round(image.height * TILE_WIDTH / image.width)))
+        return image.convert("RGB").resize(size, Image.Resampling.LANCZOS)

@@ -1,0 +1,34 @@
+"""Options of the study's commands; see ``command_line.py``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from chona_model.arguments import name_list, number, whole
+
+DEFAULT_MINUTES = 10.0
+"""Of training a cell."""
+
+
+def add_reproduce(command: argparse.ArgumentParser) -> None:
+    """Options of ``chona reproduce``."""
+    command.add_argument("table", metavar="TABLE", help="novel-pose, boxes, compositional, static-object, novel-person")
+    command.add_argument("--data", type=Path, required=True, metavar="DIR", help="holds behave, zju_mocap and co3d")
+    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for cells, tables and pictures")
+    length = command.add_mutually_exclusive_group()
+    length.add_argument(
+        "--minutes", type=number(0, above=True), metavar="M", help=f"to train a cell (default: {DEFAULT_MINUTES:g})"
+    )
+    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="to train a cell, in place of minutes")
+    command.add_argument("--image-scale", type=number(0, 1, above=True), metavar="S", help="default: 1")
+    command.add_argument("--preset", choices=("fast", "paper"), default="fast", help="of training (default: fast)")
+    command.add_argument("--quality", default="final", metavar="P", help="of rendering (default: final)")
+    command.add_argument("--rows", type=name_list, metavar="A,B,…", help="methods (default: all that there are)")
+    command.add_argument("--columns", type=name_list, metavar="A,B,…", help="default: all")
+    command.add_argument("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N")
+    command.add_argument(
+        "--devices", type=name_list, metavar="cuda:0,…", help="a cell on each at a time (default: --device)"
+    )
+    command.add_argument("--dry-run", action="store_true", help="two frames, few steps: whether all of it runs")
+    command.add_argument("--body-model", type=Path, metavar="DIR", help="SMPL-H files, as for train")
