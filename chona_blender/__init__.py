@@ -5,6 +5,7 @@ In Blender's process there is only bpy and numpy; the neural work is done by `ch
 
 from __future__ import annotations
 
+import sys
 import traceback
 
 
@@ -26,6 +27,9 @@ def unregister() -> None:
 
     if failure.is_registered():
         failure.unregister()
+        for name in [each for each in sys.modules if each.startswith(f"{__package__}.")]:
+            del sys.modules[name]  # what is mended or installed again is read anew when it is switched on
+            globals().pop(name.removeprefix(f"{__package__}."), None)
         return
     from . import registration
 

@@ -14,6 +14,7 @@ from .passes_properties import PASSES
 from .train_properties import FORMATS, TRAIN_PRESETS
 
 Command = Callable[[bpy.types.Scene, argparse.Namespace], int]
+EXIT_CODES = "Exit codes: 0 done; 1 failed or cancelled; 2 wrong arguments or input, said in one line on stderr."
 
 
 class WrongArguments(Exception):
@@ -34,9 +35,15 @@ def _bound(text: str) -> float:
     return value
 
 
+def _samples(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1024:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 1 to 1024")
+    return int(text)
+
+
 def make_parser(runs: Mapping[str, Command]) -> Parser:
     """The whole command line; `runs` is what runs, by the command's name."""
-    parser = Parser(prog="chona", description="CHONA in Blender, without a window.")
+    parser = Parser(prog="chona", description="CHONA in Blender, without a window.", epilog=EXIT_CODES)
     commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
 
     def add(name: str, words: str) -> argparse.ArgumentParser:
@@ -58,7 +65,7 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
         command.add_argument("--shadows", choices=["on", "off"], help="stand-ins cast the figure's shadow unseen")
 
     def python(command: argparse.ArgumentParser) -> None:
-        origin = f"the preferences', ${worker.PYTHON_VARIABLE}, .venv beside the sources"
+        origin = f"the preferences', ${worker.PYTHON_VARIABLE}, the one of setup-worker"
         command.add_argument("--python", metavar="FILE", help=f"the worker's Python (default: {origin})")
         command.add_argument("--device", choices=[item[0] for item in preferences.DEVICES], help="what it computes on")
 
@@ -103,9 +110,7 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     )  # fmt: skip
     one.add_argument("--passes", metavar="A,B,…", help=f"of {', '.join(PASSES)} (default: the settings')")
     one.add_argument("--motion-blur", choices=["on", "off"], help="blur what moves, by the scene's shutter")
-    one.add_argument(
-        "--depth-of-field", choices=["on", "off"], help="blur by the camera's depth of field"
-    )
+    one.add_argument("--depth-of-field", choices=["on", "off"], help="blur by the camera's depth of field")
     one.add_argument("--blur-samples", type=_samples, metavar="N", help="rays a pixel of blurred frames")
     one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
     composited(one)
@@ -136,6 +141,7 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     one.add_argument("--capture-height", type=int, metavar="PIXELS")
     one.add_argument("--capture-samples", type=int, metavar="N", help="Cycles samples a pixel")
     one.add_argument("--frames", metavar="A-B[:STEP]", help="frames to capture (default: the settings')")
+    capture_command.add_options(one)
     one.add_argument("--progress", choices=["text", "json"], default="text", help="how progress is told")
 
     one = add("train", "Learn a model from captures.")
@@ -146,7 +152,11 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
     one.add_argument("--run-folder", metavar="FOLDER", help="folder for the model, its log and checkpoints")
     one.add_argument("--method", choices=[item[0] for item in TRAIN_PRESETS], help="which networks")
     one.add_argument("--minutes", type=float, metavar="M", help="how long")
+    one.add_argument("--steps", type=int, metavar="N", help="how many steps, instead of a time")
     one.add_argument("--resume", action="store_const", const=True, help="go on from the last checkpoint")
+
+    python(add("check", "Say whether the worker can work, and what to do if not."))
+    learn_command.add_options(add, python)
 
     def carried(command: argparse.ArgumentParser) -> None:
         rigged(command)
@@ -154,5 +164,5 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
         save(command)
 
     standin_command.add_options(add, carried)
-    python(add("check", "Say whether the worker can work, and what to do if not."))
+    worker_command.add_options(add)
     return parser

@@ -8,21 +8,27 @@ given, what was expected and what to do. Options replace the scene's CHONA setti
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import bpy
 
-from . import actions, capturing, compositing, jobs, measuring, preferences, standin_command
+from . import (
+    actions,
+    capture_command,
+    compositing,
+    jobs,
+    learn_command,
+    measuring,
+    preferences,
+    standin_command,
+    worker_command,
+)
 from .command_line import Command, WrongArguments, make_parser
 from .command_options import apply, chosen_scene
+from .command_parts import DONE, WRONG, run, save, say
 from .errors import ChonaError
 from .worker_check import check_worker
-
-DONE, FAILED, WRONG = 0, 1, 2
 
 
 def main(argv: Sequence[str]) -> int:
@@ -37,10 +43,10 @@ def main(argv: Sequence[str]) -> int:
     except SystemExit as leave:  # argparse, after --help
         return int(leave.code or 0)
     except WrongArguments as error:
-        _say(str(error))
+        say(str(error))
         return WRONG
     except ChonaError as error:
-        _say(f"chona: {jobs.sentence(error)}")
+        say(f"chona: {jobs.sentence(error)}")
         return WRONG
 
 
@@ -48,10 +54,10 @@ def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     """Render the posed actor to EXR frames."""
     started = actions.start_bake(scene, composite=arguments.composite)
     for words in started.warnings:
-        _say(f"chona: warning: {words}")
-    code = _run(started.job)
+        say(f"chona: warning: {words}")
+    code = run(started.job)
     if code == DONE and actions.error_words(started.job.result):
-        _say(f"chona: {started.job.title}{actions.error_words(started.job.result)}")
+        say(f"chona: {started.job.title}{actions.error_words(started.job.result)}")
     if code == DONE and arguments.composite:
         return composite(scene, arguments)
     return code
@@ -60,7 +66,7 @@ def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
 def estimate(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """Predict the bake with each preset, one line each on stdout."""
     job = measuring.start_estimate(scene)
-    code = _run(job)
+    code = run(job)
     if code == DONE:
         sys.stdout.write("\n".join(measuring.keep_estimate(scene, job)) + "\n")
         sys.stdout.flush()
@@ -76,87 +82,25 @@ def composite(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     else:
         result = actions.add_composite(scene)
         for words in result.warnings:
-            _say(f"chona: warning: {words}")
-        _say(f"chona: composited {result.message}")
-    return _save(arguments)
+            say(f"chona: warning: {words}")
+        say(f"chona: composited {result.message}")
+    return save(arguments)
 
 
 def create_rig(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     """Make an armature and empties for a model."""
     names = arguments.objects.split(",") if arguments.objects else None
-    _say(f"chona: {actions.make_rig(scene, names)}")
-    return _save(arguments)
-
-
-def train(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
-    """Learn a model from captures."""
-    return _run(actions.start_train(scene))
-
-
-def capture(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
-    """Render training data of a rigged character of the scene."""
-
-    def progress(done: int, total: int, message: str) -> None:
-        seconds = time.monotonic() - begun
-        eta = seconds / done * (total - done) if done else None
-        event = {"event": "progress", "job": "capture", "done": done, "total": total, "seconds": seconds, "eta": eta}
-        if arguments.progress == "json":
-            sys.stdout.write(json.dumps(event | {"message": message}) + "\n")
-            sys.stdout.flush()
-        else:
-            _say(f"chona: capture: {done} of {total}: {message}")
-
-    begun = time.monotonic()
-    result = capturing.run_capture(scene, progress)
-    for words in result.dropped:
-        _say(f"chona: warning: {words} was dropped")
-    if arguments.progress == "json":
-        event = {"event": "result", "job": "capture", "written": result.rendered, "skipped": result.skipped}
-        sys.stdout.write(json.dumps(event) + "\n")
-        sys.stdout.flush()
-    _say(f"chona: captured {result.rendered} frames, {result.skipped} were there: {result.folder}")
-    return DONE
+    say(f"chona: {actions.make_rig(scene, names)}")
+    return save(arguments)
 
 
 def check(_scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """Say whether the worker can work."""
-    report = check_worker(preferences.worker_python())
+    report = check_worker(preferences.worker_python(), device=preferences.device())
     sys.stdout.write(report.text + "\n")
     if not report.good:
-        _say(f"chona: {jobs.sentence(ChonaError(report.summary))}")
+        say(f"chona: {jobs.sentence(ChonaError(report.summary))}")
     return DONE if report.good else WRONG
-
-
-def _run(job: jobs.Job) -> int:
-    """Wait for a job, with a line on stderr for each change worth one."""
-    shown = [""]
-
-    def progress(current: jobs.Job) -> None:
-        if current.total > 0 and current.text != shown[0]:
-            shown[0] = current.text
-            _say(f"chona: {current.title}: {current.text}")
-
-    jobs.run_blocking(job, progress)
-    if job.status == jobs.DONE:
-        _say(f"chona: {job.title}: done")
-        return DONE
-    _say(f"chona: {job.title}: {jobs.sentence(ChonaError(job.error))}")
-    return WRONG if job.code == WRONG else FAILED
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(" ".join(text.split()) + "\n")
-    sys.stderr.flush()
-
-
-def _save(arguments: argparse.Namespace) -> int:
-    if arguments.save is not None:
-        target = arguments.save or bpy.data.filepath
-        try:
-            bpy.ops.wm.save_as_mainfile(filepath=str(Path(target).absolute()), check_existing=False)
-        except RuntimeError as error:
-            raise ChonaError(f"the file {target} cannot be saved: {error}") from error
-    return DONE
 
 
 RUNS: dict[str, Command] = {
@@ -164,10 +108,11 @@ RUNS: dict[str, Command] = {
     "estimate": estimate,
     "composite": composite,
     "create-rig": create_rig,
-    "capture": capture,
-    "train": train,
-    **standin_command.RUNS,
     "check": check,
+    **capture_command.RUNS,
+    **learn_command.RUNS,
+    **standin_command.RUNS,
+    **worker_command.RUNS,
 }
 _registered: list[object] = []
 

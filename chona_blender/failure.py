@@ -4,6 +4,7 @@ add-on.
 
 from __future__ import annotations
 
+import atexit
 import platform
 import sys
 
@@ -69,10 +70,13 @@ def register(reason: str) -> None:
     _text[:] = [reason]
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    if getattr(bpy.app, "module", False):  # the bpy module of 4.5 hangs at exit on classes that are left
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Take the stand-in away."""
     _text.clear()
+    atexit.unregister(unregister)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

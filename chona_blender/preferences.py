@@ -1,4 +1,4 @@
-"""Preferences of the add-on: where the worker's Python is and what it computes on."""
+"""Preferences of the add-on: where the worker's Python is, what it computes on, and how one is set up."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +11,11 @@ DEVICES = (
     ("cuda", "CUDA", "Always the graphics card; fails where there is none"),
 )
 
+BUILDS = (
+    ("cpu", "CPU", "For every computer: torch without a graphics card's libraries"),
+    ("cuda", "CUDA", "For NVIDIA cards: torch with CUDA 13.0, several gigabytes"),
+)
+
 
 class CHONA_AP_preferences(bpy.types.AddonPreferences):
     """Shown in Edit ▸ Preferences ▸ Add-ons ▸ CHONA."""
@@ -19,8 +24,8 @@ class CHONA_AP_preferences(bpy.types.AddonPreferences):
 
     worker_python: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Worker Python",
-        description="Python 3.11 or newer with torch, or the folder of its environment; empty to look for one. "
-        "Blender's own Python is not touched",
+        description="Python 3.11 or newer with torch, or the folder of its environment; empty for the one that "
+        "Set Up Worker makes. Blender's own Python is not touched",
         subtype="FILE_PATH",
     )
     device: bpy.props.EnumProperty(  # type: ignore[valid-type]
@@ -30,15 +35,34 @@ class CHONA_AP_preferences(bpy.types.AddonPreferences):
         default="auto",
     )
 
-    def draw(self, _context: bpy.types.Context) -> None:
-        """The settings, and the result of the last check."""
-        from .panels import draw_worker
+    setup_build: bpy.props.EnumProperty(  # type: ignore[valid-type]
+        name="Install for",
+        description="Which build of torch Set Up Worker installs",
+        items=BUILDS,
+        default="cpu",
+    )
+    setup_python: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Made of",
+        description="Python 3.11 or newer that Set Up Worker makes the environment of; empty for Blender's own, or "
+        "the first good one of the system where Blender's cannot",
+        subtype="FILE_PATH",
+    )
+    setup_wheels: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Wheels",
+        description="Folder of wheels that Set Up Worker installs from without the network; empty to download them",
+        subtype="DIR_PATH",
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The settings, the result of the last check, and the worker's environment."""
+        from .panels import draw_setup, draw_worker
 
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "worker_python")
         layout.prop(self, "device")
-        draw_worker(layout)
+        draw_worker(layout, context)
+        draw_setup(layout, context, self)
 
 
 def preferences() -> CHONA_AP_preferences | None:

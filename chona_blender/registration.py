@@ -17,43 +17,52 @@ from . import (
     compositing_properties,
     cost_table,
     estimates,
+    frames_there,
     live,
     model_cache,
     panels,
-    frames_there,
     part_properties,
-    preferences,
-    presets,
     passes_properties,
     pictures,
+    preferences,
+    presets,
     properties,
+    ring_view,
     standin_properties,
     strip_view,
+    train_data,
+    train_queue,
+    train_rows,
     worker,
+    worker_setup,
 )
 from .jobs import board, remember_error
-from .operators import bake, capture, composite, costs, diagnose, preview, rig, standin, train
+from .operators import bake, capture, composite, costs, diagnose, preview, rig, setup_worker, standin, train
+from .operators import train_data as train_data_operators
 
 CLASSES: tuple[type, ...] = (
     part_properties.CHONA_PG_object,
     part_properties.CHONA_PG_bone,
     *standin_properties.CLASSES,
     actor_properties.CHONA_PG_actor,
+    *blur_properties.CLASSES,
     *compositing_properties.CLASSES,
+    *passes_properties.CLASSES,
     properties.CHONA_PG_settings,
     preferences.CHONA_AP_preferences,
     *check_store.CLASSES,
     *rig.CLASSES,
     *standin.CLASSES,
-    *blur_properties.CLASSES,
     *bake.CLASSES,
     *costs.CLASSES,
     *preview.CLASSES,
     *composite.CLASSES,
-    *passes_properties.CLASSES,
     *capture.CLASSES,
+    *train_rows.CLASSES,
     *train.CLASSES,
+    *train_data_operators.CLASSES,
     *diagnose.CLASSES,
+    *setup_worker.CLASSES,
     *panels.CLASSES,
 )
 
@@ -77,9 +86,17 @@ STEPS: tuple[Step, ...] = (
     Step(presets.register, presets.unregister),
     Step(cost_table.forget, cost_table.forget),
     Step(estimates.forget, estimates.forget),
+    Step(frames_there.forget, frames_there.forget),
     Step(check_store.register, check_store.unregister),
     Step(strip_view.register, strip_view.unregister),
+    Step(ring_view.register, ring_view.unregister),
+    Step(capturing.forget, capturing.forget),
+    Step(pictures.register, pictures.unregister),
+    Step(train_data.forget, train_data.forget),
+    Step(train_rows.register, train_rows.unregister),
+    Step(train_queue.forget, train_queue.forget),
     Step(live.register, live.unregister),
+    Step(worker_setup.refresh, worker_setup.forget),
     Step(commands.register, commands.unregister),
     Step(lambda: atexit.register(_at_exit), lambda: atexit.unregister(_at_exit)),
 )
@@ -94,7 +111,6 @@ def _at_exit() -> None:
         unregister()
 
 
-    Step(frames_there.forget, frames_there.forget),
 def register() -> None:
     """Switch every step on; if one fails, those before it are switched off again and the failure is raised."""
     try:

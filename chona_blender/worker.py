@@ -21,6 +21,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import IO, Any, Protocol
 
+from . import worker_home
 from .errors import ChonaError
 
 PYTHON_VARIABLE = "CHONA_WORKER_PYTHON"
@@ -38,7 +39,11 @@ def sources_folder() -> Path:
 
 
 def find_python(preference: str = "") -> tuple[Path, str]:
-    """The worker's Python and where it was named. A named one must exist: it is never skipped silently."""
+    """The worker's Python and where it was named. A named one must exist: it is never skipped silently.
+
+    Raises:
+        ChonaError: the named one, or what the add-on's own environment was made of, is gone.
+    """
     named = [
         (preference, "the add-on's preferences or by --python"),
         (os.environ.get(PYTHON_VARIABLE, ""), f"the variable {PYTHON_VARIABLE}"),
@@ -51,9 +56,12 @@ def find_python(preference: str = "") -> tuple[Path, str]:
             if not path.is_file():
                 raise ChonaError(
                     f"the worker's Python {text}, named in {origin}, does not exist; "
-                    "expected a Python 3.11 or newer with torch: correct it there, or make one with `make env`"
+                    "expected a Python 3.11 or newer with torch: correct it there, or clear it and press Set Up Worker"
                 )
             return path, origin
+    own = worker_home.python()
+    if own is not None:
+        return own, "Set Up Worker"
     for path in _interpreters(sources_folder() / ".venv"):
         if path.is_file():
             return path, "the environment beside the sources"

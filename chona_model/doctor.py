@@ -74,6 +74,12 @@ def examine() -> dict[str, Any]:
     }
 
 
+def surroundings() -> list[Check]:
+    """What is around the packages, each within a second: the card, free memory, where kernels are kept."""
+    looks = (("CUDA", cuda), ("memory", memory), ("kernel cache", kernel_cache))
+    return [_guarded(name, look) for name, look in looks]
+
+
 def to_text(report: dict[str, Any]) -> str:
     """The report as lines for people."""
     lines = [f"chona        {report['version']}"]
@@ -154,17 +160,22 @@ def _processor_flags() -> frozenset[str]:
 
 
 def cuda() -> Check:
-    """A card is welcome, not needed."""
+    """A card is welcome, not needed. One that is there is tried: a driver can know it and yet not run this torch."""
     import torch
 
-    if torch.cuda.is_available():
-        memory = torch.cuda.get_device_properties(0).total_memory / 2**30
-        return Check("CUDA", "ok", f"{torch.cuda.get_device_name(0)}, {memory:.0f} GB, CUDA {torch.version.cuda}")
     if torch.version.cuda is None:
         return Check("CUDA", "note", "none: this torch is built for the CPU alone; --device cpu is used")
-    return Check(
-        "CUDA", "note", f"none: torch has CUDA {torch.version.cuda}, but no card answers; --device cpu is used"
-    )
+    try:
+        torch.cuda.init()
+        total = float((torch.ones(2, device="cuda") + 1.0).sum())
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        words = f"none: torch has CUDA {torch.version.cuda}, but no card answers ({reason}); --device cpu is used"
+        return Check("CUDA", "note", words, "install NVIDIA's driver for this card, or update it")
+    if total != 4.0:
+        return Check("CUDA", "missing", f"the card adds 1 and 1 to {total / 2.0}", "update its driver")
+    memory = torch.cuda.get_device_properties(0).total_memory / 2**30
+    return Check("CUDA", "ok", f"{torch.cuda.get_device_name(0)}, {memory:.0f} GB, CUDA {torch.version.cuda}")
 
 
 def memory() -> Check:

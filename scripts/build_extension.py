@@ -70,6 +70,14 @@ def check_versions(manifest: dict, pyproject: Path) -> None:
         raise BuildError(f"{pyproject} has version {version}, the manifest {manifest['version']}; make them the same")
 
 
+def check_pins(pyproject: Path, constraints: Path) -> None:
+    """Everything that chona_model imports has one version, which Set Up Worker installs."""
+    pinned = set(re.findall(r"^([\w.-]+)==\S+$", constraints.read_text(encoding="utf-8"), re.MULTILINE))
+    for text in tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]["dependencies"]:
+        if text.partition(">=")[0] not in pinned:
+            raise BuildError(f"{constraints} has no version of {text.partition('>=')[0]}, which {pyproject} names")
+
+
 def check_imports(path: Path) -> None:
     """In Blender's process: relative imports, Blender's own modules, numpy and the standard library, nothing else."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
@@ -94,9 +102,10 @@ def collect(root: Path) -> dict[str, Path]:
         files[path.relative_to(root / "chona_blender").as_posix()] = path
     for path in sources(root / "chona_model"):
         files["worker/" + path.relative_to(root).as_posix()] = path
-    for extra in ("LICENSE", "constraints.txt"):
-        if (root / extra).is_file():
-            files[extra if extra == "LICENSE" else f"worker/{extra}"] = root / extra
+    files["LICENSE"] = root / "LICENSE"
+    for name in ("pyproject.toml", "constraints.txt"):  # what Set Up Worker installs, and in which versions
+        files[f"worker/{name}"] = root / name
+    check_pins(root / "pyproject.toml", root / "constraints.txt")
     for needed in ("__init__.py", "worker/chona_model/__init__.py"):
         if needed not in files:
             raise BuildError(f"{needed} is missing among the sources in {root}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import actions, diagnosis, jobs, preferences
+from .. import diagnosis, jobs, preferences
 from ..errors import ChonaError
 from ..output import bake_output, output_now
 from ..worker import find_python
@@ -26,7 +26,7 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
         return True
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        diagnosis.worker_report = check_worker(preferences.worker_python())
+        diagnosis.worker_report = check_worker(preferences.worker_python(), device=preferences.device())
         if not diagnosis.worker_report.good:
             return jobs.fail(self, ChonaError(diagnosis.worker_report.summary))
         self.report({"INFO"}, f"The worker is ready: {diagnosis.worker_report.summary}")
@@ -42,7 +42,9 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
         return super()._ended(context, job)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        diagnosis.worker_report = judge(*self._python, job.result or None, job.code, list(job.worker.lines))
+        diagnosis.worker_report = judge(
+            *self._python, job.result or None, job.code, list(job.worker.lines), preferences.device()
+        )
         if not diagnosis.worker_report.good:
             raise ChonaError(diagnosis.worker_report.summary)
         return f"The worker is ready: {diagnosis.worker_report.summary}"

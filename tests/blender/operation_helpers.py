@@ -43,7 +43,9 @@ def bpy_pythons() -> list[str]:
     return found or [""]
 
 
-def run_bpy(python: str, script: str, *arguments: object, environment: dict[str, str] | None = None) -> dict[str, Any]:
+def run_bpy(
+    python: str, script: str, *arguments: object, environment: dict[str, str] | None = None, seconds: float = 300.0
+) -> dict[str, Any]:
     """Run one of our scripts in a Python with bpy; what it writes as its last line of stdout, in JSON, comes back."""
     if not python:
         pytest.skip("$CHONA_BPY names no Python with bpy")
@@ -51,7 +53,7 @@ def run_bpy(python: str, script: str, *arguments: object, environment: dict[str,
     full |= {"PYTHONPATH": os.pathsep.join([str(ROOT), str(SCRIPTS)])} | (environment or {})
     done = subprocess.run(
         [python, str(SCRIPTS / script), *map(str, arguments)],
-        env=full, capture_output=True, text=True, timeout=300, check=False,
+        env=full, capture_output=True, text=True, timeout=seconds, check=False,
     )  # fmt: skip
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     if done.returncode != 0 or not lines:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import subprocess
 import sys
 import zipfile
@@ -10,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from operation_helpers import ROOT, bpy_pythons, run_bpy
+from operation_helpers import ROOT, bpy_pythons, run_bpy, write_header_only_model
 
 BUILD = ROOT / "scripts" / "build_extension.py"
 FIND_VALIDATOR = (
@@ -42,6 +43,7 @@ def build_module() -> ModuleType:
 def test_zip_has_both_packages_and_nothing_else(package: Path) -> None:
     names = zipfile.ZipFile(package).namelist()
     assert {"blender_manifest.toml", "__init__.py", "LICENSE", "worker/chona_model/__init__.py"} <= set(names)
+    assert {"worker/constraints.txt", "worker/pyproject.toml"} <= set(names), "Set Up Worker reads them"
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".so", ".pyd", ".dll"))]
     assert "chona_model/__init__.py" not in names
 
@@ -75,3 +77,49 @@ def test_blender_accepts_and_installs_it(python: str, package: Path, tmp_path: P
         assert answer["sources"] == str(Path(answer["folder"]) / "worker")
         assert answer["code"] == 2 and "torch" in answer["words"]
         assert answer["warnings"] == "{}", answer
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("python", bpy_pythons())
+def test_nothing_is_left_behind(python: str, package: Path, tmp_path: Path) -> None:
+    """On and off twenty times, an update while it is on, an uninstall: what Blender holds is the same each time."""
+    older = tmp_path / "chona-0.0.9.zip"
+    with zipfile.ZipFile(package) as source, zipfile.ZipFile(older, "w") as target:
+        for name in source.namelist():
+            text = source.read(name)
+            if name == "blender_manifest.toml":
+                text, count = re.subn(rb'(?m)^version = ".*"$', b'version = "0.0.9"', text)
+                assert count == 1
+            target.writestr(name, text)
+    model = write_header_only_model(tmp_path / "Robin.safetensors")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    environment = {"BLENDER_USER_RESOURCES": str(tmp_path / "resources"), "TMPDIR": str(temporary)}
+    answer = run_bpy(python, "operation_rounds.py", older, package, model, temporary, environment=environment)
+    assert answer["older"] == "0.0.9" and answer["used"][0] == "FINISHED" and "has no torch" in answer["used"][1]
+    assert answer["first"] == {}, answer["first"]
+    assert answer["rounds on"] == {} and answer["rounds off"] == {}, answer
+    updated = answer["updated"]
+    assert updated["version"] != "0.0.9" and updated["enabled"] and updated["used"] == ["FINISHED"]
+    assert updated["device"] == "cpu" and updated["kept"], "preferences and the worker's environment outlive an update"
+    assert updated["differences"] == {} and updated["warnings"] == "{}"
+    assert answer["uninstalled"] == {"differences": {}, "folder": False, "sources": False}
+
+
+@pytest.mark.bpy
+@pytest.mark.parametrize("python", bpy_pythons())
+def test_one_that_cannot_load_says_why(python: str, package: Path, tmp_path: Path) -> None:
+    """A module that breaks at any stage: a panel with a report to copy, nothing else, and all is well once mended."""
+    environment = {"BLENDER_USER_RESOURCES": str(tmp_path)}
+    answer = run_bpy(python, "operation_broken.py", package, environment=environment)
+    for case, reason in (
+        ("syntax", "SyntaxError"),
+        ("import", "No module named 'no_such_module'"),
+        ("register", "ValueError: the reason"),
+    ):
+        broken, mended = answer[case]["broken"], answer[case]["mended"]
+        assert broken["classes"] == ["CHONA_OT_copy_failure", "CHONA_PT_failure"] and not broken["scene"], case
+        assert reason in broken["report"] and "Blender" in broken["report"] and answer[case]["copied"], case
+        assert answer[case]["off"] == {"classes": [], "scene": False, "report": "", "stand-in": False}, case
+        assert mended["scene"] and not mended["stand-in"] and "CHONA_PT_main" in mended["classes"], case
+        assert answer[case]["mended off"]["classes"] == [], case
