@@ -11,12 +11,13 @@ from collections.abc import Iterator
 
 import bpy
 
-from .compositing_group import MARK
+from .compositing_group import FAR, MARK
 from .compositing_nodes import NEW
 from .errors import ChonaError
 
 UNLINKED = "chona_output_was_unlinked"
 SHARED = "*"
+UNLINKED_VALUES = {"Depth": FAR, "Layers Depth": FAR, "Layers Alpha": 0.0}
 RENDER_LAYERS = "CompositorNodeRLayers"
 
 
@@ -116,6 +117,8 @@ def depth_sources(scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> list[bpy.
 def connect(tree: bpy.types.NodeTree, node: bpy.types.Node, sources: list[bpy.types.Node]) -> None:
     """Give a layer's node depth, and what it needs to know of the layers before it; `sources` as `depth_sources`."""
     first, before = layer_nodes(tree)[0], _before(node)
+    for name, value in UNLINKED_VALUES.items():
+        node.inputs[name].default_value = value  # sockets that came to a node of an older version hold 0
     if not first.inputs["Image"].links:
         _link(tree, sources[0].outputs["Image"], first.inputs["Image"])
     if not node.inputs["Depth"].links:

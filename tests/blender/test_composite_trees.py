@@ -136,6 +136,11 @@ def test_mattes_are_what_is_seen(cases: tuple[Path, dict]) -> None:
     np.testing.assert_allclose(read(out / "pass_matte.exr")[..., 0] - alpha, 0.0, atol=1e-3)
 
 
+def test_a_layer_of_an_earlier_version_is_brought_up_to_date(cases: tuple[Path, dict]) -> None:
+    out, _ = cases
+    np.testing.assert_allclose(read(out / "older.exr")[:, : WIDTH * 3 // 4, :3] - COLOUR, 0.0, atol=2e-3)
+
+
 def test_several_scenes(cases: tuple[Path, dict]) -> None:
     """Each has its layer; in 5.x both show one tree, so the layer goes from both."""
     _, answer = cases

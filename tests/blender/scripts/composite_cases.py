@@ -140,6 +140,16 @@ answer["bare"] = [
     sum(node.bl_idname == "CompositorNodeCryptomatteV2" for node in tree.nodes),
 ]
 
+# A layer that an earlier version made, with fewer sockets, is updated by the second click.
+scene = empty_scene()
+emission_plane("behind", (4.0, 2.0), (0.0, 0.0, 2.0), (0.5, 0.5, 0.5))
+group = compositing.add_layer(scene, frames, "walk").group
+for item in list(group.interface.items_tree):
+    if item.name not in {"Image", "Depth"}:
+        group.interface.remove(item)
+compositing.add_layer(scene, frames, "walk")
+render(scene, out / "older.exr", 4)
+
 # Two scenes; in 5.x they share a tree.
 scene = empty_scene()
 other = bpy.data.scenes.new("other")
