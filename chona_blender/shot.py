@@ -207,7 +207,7 @@ def _blur_arrays(
     moments, arrays = 1 + len(blur.times), {}
 
     def open_shutter(array: np.ndarray) -> np.ndarray:
-        return array.reshape(-1, moments, *array.shape[1:])[:, 1:]
+        return array.reshape(len(array) // moments, moments, *array.shape[1:])[:, 1:]
 
     if moments > 1:
         arrays["shutter.times"] = blur.times

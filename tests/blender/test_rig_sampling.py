@@ -88,6 +88,18 @@ def test_a_rigid_body_simulation_moves_objects_and_what_hangs_on_them(found: dic
     assert case["frame"] == 4 and case["unkeyed"] == pytest.approx(0.123)
 
 
+def test_between_frames_a_simulation_lies_between_its_frames(found: dict) -> None:
+    """Shutters that reach before and after their frame, read while it is played; whole frames come out the same."""
+    case = found["falling"]
+    frames, moments = np.array([5, 6, 9]), np.array([0.0, -0.5, 0.25, 0.75])
+    heights = np.array(case["shutter"])
+    assert heights[1, 0] == pytest.approx(case["played"][1], abs=1e-6)
+    seconds = (frames[:, None] + moments - 1) / 24.0
+    np.testing.assert_allclose(heights, 5.0 - 0.5 * 9.81 * seconds**2, atol=0.05)
+    order = np.argsort((frames[:, None] + moments).ravel())
+    assert (np.diff(heights.ravel()[order]) < -0.005).all(), "it falls from moment to moment"
+
+
 def test_constraints_drivers_and_parents_count(found: dict) -> None:
     """IK, a driver and a bone-parented empty, as Blender evaluates them in the user's scene."""
     case = found["controlled"]

@@ -18,7 +18,7 @@ from chona_blender.model_header import read_model_header
 from chona_blender.rig.armature import Rig, create_rig
 from chona_blender.rig.rest_pose import model_rest_pose
 from chona_blender.rig.rigid import RigidPose, rigid_pose
-from chona_blender.rig.sampling import sample
+from chona_blender.rig.sampling import Subject, sample, sample_all
 
 FRAMES = (1, 3, 5)
 PLACE = Matrix.Translation((0.4, -1.1, 0.2)) @ Matrix.Rotation(0.7, 4, "Z")
@@ -167,6 +167,9 @@ def falling() -> dict:
     rig.armature.pose.bones["head"].rotation_euler.x = 0.123
     samples = sample(scene, None, [], [rig.empties["crate"]], frames=(1, 6, 12))
     result = {"objects": samples.world_from_object.tolist(), "frames": [1, 6, 12], "frame": scene.frame_current}
+    subject = Subject(None, [], [rig.empties["crate"]])
+    (shutter,) = sample_all(scene, [subject], frames=(5, 6, 9), moments=(0.0, -0.5, 0.25, 0.75))
+    result["shutter"] = shutter.world_from_object[:, 0, 2, 3].reshape(3, 4).tolist()
     result["unkeyed"] = rig.armature.pose.bones["head"].rotation_euler.x
     result["played"] = []
     for frame in range(1, 13):
