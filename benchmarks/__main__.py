@@ -24,6 +24,7 @@ SUBJECTS = (
     "recovery",
     "numerics",
     "estimate",
+    "blur",
 )
 WITHOUT_DATA = {"recovery", "numerics"}
 """Subjects that need no capture; ``recovery`` also measures the poses of one that is there."""
