@@ -25,6 +25,8 @@ RUNNING, DONE, FAILED, CANCELLED = "RUNNING", "DONE", "FAILED", "CANCELLED"
 class Job:
     """A worker with what it has reported so far."""
 
+    remedy = "cancel it"
+
     def __init__(self, title: str, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
         self.title = title
         self.status = RUNNING
@@ -126,7 +128,7 @@ def busy() -> str:
     """Why nothing else can start at present, as a button's tooltip says it; nothing when nothing runs."""
     if board.current is None:
         return ""
-    return f"Wait until the running job has ended, or cancel it: {board.current.title}"
+    return f"Wait until the running job has ended, or {board.current.remedy}: {board.current.title}"
 
 
 def duration(seconds: float) -> str:

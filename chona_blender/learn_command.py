@@ -26,7 +26,9 @@ def add_options(
 
 def train(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """0 trained; 1 failed or stopped, with a checkpoint; 2 it cannot start, or the data cannot be used."""
-    return run(train_queue.start(train_queue.add(scene)))
+    row = train_queue.add(scene)
+    row.preview = 0.0  # nobody looks
+    return run(train_queue.start(row))
 
 
 def check_data(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:

@@ -14,10 +14,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import actions, jobs, pictures
+from . import actions, jobs, pictures, preferences
 from .errors import ChonaError
 from .jobs import DONE, FAILED, Job
-from .worker import chona_command
+from .worker import chona_command, find_python
 
 PICTURE = "chona.data"
 SHOWN_SIDE = 640
@@ -91,7 +91,9 @@ def look(scene: bpy.types.Scene) -> None:
         _Known.found[key] = Found(problem=f"There is no folder {key[0]}")
         return
     try:
-        _Known.look = key, Job("Look at data", _command(key, "--brief"))
+        # Not asked whether it has all that a worker needs: that takes a process of its own, and a look needs little.
+        python, _ = find_python(preferences.worker_python())
+        _Known.look = key, Job("Look at data", _command(python, key, "--brief"))
     except ChonaError as error:
         _Known.found[key] = Found(problem=jobs.sentence(error))
         return
@@ -111,8 +113,8 @@ def _tick() -> float | None:
     return None
 
 
-def _command(key: Key, *more: str) -> list[str]:
-    return chona_command(actions.worker_python(), ["check-data", key[0], "--format", key[1], *more])
+def _command(python: Path, key: Key, *more: str) -> list[str]:
+    return chona_command(python, ["check-data", key[0], "--format", key[1], *more])
 
 
 class CheckDataJob(Job):
@@ -122,7 +124,7 @@ class CheckDataJob(Job):
         self.key = key
         self.place = TemporaryDirectory(prefix="chona_data_")
         out = str(folder or self.place.name)
-        super().__init__(f"Check {Path(key[0]).name}", _command(key, "--out", out))
+        super().__init__(f"Check {Path(key[0]).name}", _command(actions.worker_python(), key, "--out", out))
 
     def poll(self) -> bool:
         """As every job's; an answer is an answer."""

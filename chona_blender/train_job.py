@@ -13,8 +13,8 @@ from .train_view import TrainView
 
 PAUSED = "PAUSED"
 STOP = "stop"
-"""A file of this name in the result folder ends the training after its step (docs/file-formats.md): unlike a signal, it
-is understood on every system, and nothing is lost however long the step takes."""
+"""A file of this name in the result folder ends the training after its step (docs/capture-and-train.md): unlike a
+signal, it is understood on every system, and nothing is lost however long the step takes."""
 CLOSING_SECONDS = 8.0
 """How long Blender waits for a checkpoint when it quits or opens another file."""
 
@@ -26,6 +26,8 @@ class TrainJob(Job):
         key: of its row; run: its result folder; status: may be `PAUSED` as well.
         told: called with the job after every look at it.
     """
+
+    remedy = "pause it under Train"
 
     def __init__(
         self, title: str, command: Sequence[str], run: Path, key: str, told: Callable[[TrainJob], None]

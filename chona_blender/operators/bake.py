@@ -16,9 +16,7 @@ from .image_editor import show_image
 
 def why_no_bake(scene: bpy.types.Scene) -> str:
     """Why a bake cannot start at present, or nothing."""
-    if jobs.running() is not None:
-        return "Wait until the running job has ended, or cancel it"
-    return why_not_ready(scene)
+    return jobs.busy() or why_not_ready(scene)
 
 
 class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):

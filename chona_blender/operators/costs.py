@@ -49,7 +49,7 @@ class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         settings = context.scene.chona
         reasons = (
-            (jobs.running() is not None, "Wait until the running job has ended, or cancel it"),
+            (bool(jobs.busy()), jobs.busy()),
             (not settings.model_path, "Choose a model file first"),
             (not settings.data_folder, "Choose the folder with the captures first"),
         )

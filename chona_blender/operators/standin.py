@@ -11,8 +11,8 @@ def why_no_stand_in(context: bpy.types.Context) -> str:
     """Why a stand-in cannot be made at present, or nothing."""
     settings = context.scene.chona
     actor = settings.actor
-    if jobs.running() is not None:
-        return "Wait until the running job has ended, or cancel it"
+    if jobs.busy():
+        return jobs.busy()
     if actor is None or not actor.model_path:
         return "Choose a model file first"
     if actor.armature is None and not any(item.use for item in actor.objects):

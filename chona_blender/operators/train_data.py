@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .. import image_window, jobs, train_data
+from .. import jobs, train_data
 from ..errors import ChonaError
 from ..train_data import CheckDataJob
+from .image_editor import show_image
 
 
 class CHONA_OT_check_data(jobs.JobOperator, bpy.types.Operator):
@@ -79,10 +80,13 @@ class CHONA_OT_open_sheet(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         shown = train_data.shown_sheet(context.scene)
+        path = shown[1].sheet if shown is not None else None
         try:
-            image_window.show(context, shown[1].sheet if shown is not None else None)
-        except ChonaError as error:
-            return jobs.fail(self, error)
+            image = bpy.data.images.load(str(path), check_existing=True)
+        except RuntimeError:
+            return jobs.fail(self, ChonaError(f"the picture {path} cannot be read any more; press Check Data again"))
+        image.reload()  # drawn again since it was shown last
+        show_image(context, image)
         return {"FINISHED"}
 
 

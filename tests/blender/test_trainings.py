@@ -70,6 +70,16 @@ def test_the_model_is_used(ran: tuple[Path, dict]) -> None:
     assert answer["use before"] and answer["used"] == [["FINISHED"], str(folder / "two" / "model.safetensors")]
 
 
+def test_blender_quits_with_a_checkpoint(answer: dict) -> None:
+    assert answer["closed"] == ["PAUSED", ["closed", "PAUSED"], True, "pause it under Train"]
+
+
+def test_undo_leaves_the_list_alone(answer: dict) -> None:
+    minutes, states, words = answer["undone"]
+    assert minutes == 10.0, "the setting was undone"
+    assert states == answer["done"] and words == "in the list"
+
+
 def test_saved_lists(answer: dict) -> None:
     assert answer["was running"][1] == ["two", "PAUSED"]
     assert answer["damaged"] == []

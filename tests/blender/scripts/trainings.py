@@ -54,10 +54,15 @@ def error_of(call: object) -> str:
     return ""
 
 
-def pause_after(steps: int, run: Path) -> None:
-    """What a click on Pause does while the training goes on."""
+def wait_for(steps: int, run: Path) -> None:
+    """Until a training has made some steps."""
     while not (run / "log.jsonl").is_file() or len((run / "log.jsonl").read_text().splitlines()) < steps:
         time.sleep(0.005)
+
+
+def pause_after(steps: int, run: Path) -> None:
+    """What a click on Pause does while the training goes on."""
+    wait_for(steps, run)
     jobs.board.last.pause()
 
 
@@ -96,9 +101,21 @@ answer["use before"] = bpy.ops.chona.use_trained.poll()
 answer["resumed"] = list(bpy.ops.chona.resume_training())
 answer["done"] = states()
 answer["actor"] = scene_settings().model_path
+bpy.ops.ed.undo_push(message="before")
+scene_settings().minutes, train_rows.rows()[2].words = 77.0, "in the list"
+bpy.ops.ed.undo_push(message="after")
+bpy.ops.ed.undo()
+answer["undone"] = [scene_settings().minutes, states(), train_rows.rows()[2].words]
 answer["again"] = bpy.ops.chona.resume_training.poll()
 train_rows.select(train_rows.rows()[1].key)
 answer["used"] = [list(bpy.ops.chona.use_trained()), scene_settings().model_path]
+add("closed")
+job = train_queue.start(train_queue.next_waiting())
+wait_for(1, Path(folder) / "closed")
+job.close()  # as Blender does when it quits, or opens another file
+answer["closed"] = [job.status, states()[-1], train_queue.has_checkpoint(train_rows.rows()[-1]), job.remedy]
+train_rows.select(train_rows.rows()[-1].key)
+bpy.ops.chona.remove_training()
 train_rows.rows()[1].state = train_rows.RUNNING  # as a file that is saved while one runs
 text = train_rows.as_text()
 train_rows.from_text(text)

@@ -20,6 +20,7 @@ import chona_model.train.run as loop
 from chona_model.data.dataset import Dataset
 from chona_model.deform.skinning import DeformShape
 from chona_model.field.radiance import FieldShape
+from chona_model.methods import METHODS
 from chona_model.progress import Progress
 from chona_model.settings import ExactSettings, InverseSettings
 from chona_model.train.exact_trainer import ExactTrainer, PaperSettings, make_shape
@@ -41,7 +42,7 @@ def fast_trainer(
     settings = replace(
         FAST, **{name: type(getattr(FAST, name))(getattr(FAST, name) * factor) for name, factor in rates.items()}
     )
-    return GridTrainer(dataset, settings, run.seed, run.image_scale, run.method, shape=SHAPE, dtype=dtype)
+    return GridTrainer(dataset, settings, run.seed, run.image_scale, METHODS[run.method], shape=SHAPE, dtype=dtype)
 
 
 def paper_trainer(dataset: Dataset, run: loop.TrainRun, factor: float = 1.0) -> ExactTrainer:
@@ -51,7 +52,7 @@ def paper_trainer(dataset: Dataset, run: loop.TrainRun, factor: float = 1.0) -> 
         radiance=replace(FieldShape(), width=32, depth=3),
     )  # fmt: skip
     settings = replace(PAPER, first_rate=PAPER.first_rate * factor, last_rate=PAPER.last_rate * factor)
-    return ExactTrainer(dataset, settings, run.seed, run.device, run.image_scale, run.method, shape=shape)
+    return ExactTrainer(dataset, settings, run.seed, run.device, run.image_scale, METHODS[run.method], shape=shape)
 
 
 def make_small(dataset: Dataset, run: loop.TrainRun) -> tuple[loop.Trainer, dict]:
