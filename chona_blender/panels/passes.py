@@ -25,7 +25,7 @@ class CHONA_PT_passes(Sidebar, bpy.types.Panel):
         mattes.prop(settings.passes, "mattes", text="Human and Object")
         mattes.prop(settings.passes, "cryptomatte")
         if settings.composite_after and not settings.passes.depth:
-            column.label(text="Compositing needs Depth", icon="ERROR")
+            column.label(text="Then Composite needs Depth", icon="ERROR")
 
 
 CLASSES = (CHONA_PT_passes,)

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 import torch
 from ball_model import ball_actor, ball_pose, looking_at, normals_of_ball
+from blur_scenes import at, card_shot, shutter_times
 from exact_cases import frontal_rays, pose_batch, random_figure, small_model
 from scene_files import grid_file, write_poses
 from scipy.spatial.transform import Rotation
 from tiny_models import trained
 
+from chona_model.blur import Blur
 from chona_model.camera import ORTHOGRAPHIC
 from chona_model.data.dataset import Pose
 from chona_model.formats.exr import FrameHeader, read_frame, write_frame
 from chona_model.formats.shot import read_shot
-from chona_model.frame import render_frame, unit_normals
+from chona_model.frame import ShotRenderer, render_frame, unit_normals
 from chona_model.grid_actor import GridActor
 from chona_model.model_store import load_actor
 from chona_model.passes import DEFAULT_PASSES, Passes
@@ -210,3 +212,22 @@ def test_frames_keep_normals_of_length_one(tmp_path: Path) -> None:
     cut = render_frame(actor, near, 0, RENDER_PRESETS["draft"], passes=WITH_NORMALS)
     assert cut.normal is not None and not cut.normal.any()
     assert render_frame(actor, shot, 0, RENDER_PRESETS["draft"], passes=DEFAULT_PASSES).normal is None
+
+
+def test_blurred_frames_weigh_normals_and_mattes_as_colours() -> None:
+    """A ball that rolls past in the shutter's time: in the middle it faces the camera on the whole."""
+    shot = card_shot(lambda time: at(x=0.2 * time, z=1.5), times=shutter_times(8, -0.5, 0.5), size=(40, 32), focal=60.0)
+    shot = replace(shot, actors=(replace(shot.actors[0], objects=("ball",)),))
+    actor, passes = ball_actor(), Passes(normal=True, cryptomatte=True)
+    layers, plain = (
+        ShotRenderer([actor], shot, RENDER_PRESETS["preview"], each, blur=Blur(True, False, 16)).render(0)
+        for each in (passes, DEFAULT_PASSES)
+    )
+    alpha = layers.combined[..., 3]
+    assert layers.normal is not None and layers.cryptomatte is not None
+    np.testing.assert_allclose(layers.cryptomatte.coverage[..., 0], alpha, atol=1e-5)
+    assert ((alpha > 0.1) & (alpha < 0.9)).sum() > 40, "its sides are blurred"
+    np.testing.assert_allclose(np.linalg.norm(layers.normal[alpha > 0.05], axis=-1), 1.0, atol=1e-5)
+    middle = layers.normal[15:17, 19:21].mean(axis=(0, 1))
+    assert degrees_between(middle / np.linalg.norm(middle), np.array([0.0, 0.0, -1.0])) < 4.0
+    np.testing.assert_allclose(plain.combined, layers.combined, atol=1e-6)
