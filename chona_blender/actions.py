@@ -145,11 +145,13 @@ def actor_plan(actor: CHONA_PG_actor) -> ActorPlan:
     plan = plan_as_set(actor)
     if actor.person and actor.armature is None:
         raise ChonaError(f"no armature poses {actor.person}; press Create Rig, or choose an armature under Rig")
+    if actor.person and not actor.armature.users_scene:  # deleted ones stay while somebody points at them
+        raise ChonaError(f"the armature {actor.armature.name!r} was deleted; undo that, or choose another under Rig")
     objects = list(actor.used_objects())
     if not actor.person and not objects:
         raise ChonaError("there is nothing to render: neither a person nor an object is chosen; choose one under Rig")
     for item in objects:
-        if item.empty is None or item.empty.name not in bpy.data.objects:
+        if item.empty is None or not item.empty.users_scene:
             raise ChonaError(
                 f"object {item.name!r} has no empty that moves it; choose one under Rig, or switch the object off"
             )

@@ -90,9 +90,9 @@ def kept_models() -> tuple[Stamp, ...]:
     return _Kept.models
 
 
-def models_are_current() -> bool:
-    """Whether those files are still the same."""
-    return all(Stamp.of(each.path) == each for each in _Kept.models)
+def models_now() -> tuple[Stamp, ...]:
+    """The same files as they are now."""
+    return tuple(Stamp.of(each.path) for each in _Kept.models)
 
 
 def close_kept() -> None:

@@ -17,7 +17,8 @@ from . import actions, preferences
 from .camera import ImageFormat, image_format
 from .errors import ChonaError
 from .jobs import redraw_sidebars, sentence
-from .live_kept import Stamp, kept_models, kept_worker, models_are_current
+from .live_facts import Facts, facts_of
+from .live_kept import Stamp, kept_models, kept_worker
 from .live_pace import STAGES, Pace
 from .live_view import Canvas, Picture, camera_frame, camera_views, depsgraph_of, redraw_views
 from .live_worker import Frame, LiveWorker
@@ -33,8 +34,8 @@ WAITING_SECONDS = 0.01
 SAMPLING_SHARE = 0.25
 """Of the window's time, at most: a scene with many actors is sampled less often."""
 
-MODEL_SECONDS = 1.0
-"""Between looks at whether the models' files are still the same."""
+LOOK_SECONDS = 0.25
+"""Between looks at what Blender's handlers do not tell of."""
 
 LOADING = "loading the model"
 WAITING = "waiting for the worker"
@@ -68,6 +69,7 @@ class LivePreview:
         self._sample_from = self._look_from = 0.0
         self._shot: Shot | None = None
         self._models: tuple[Stamp, ...] = ()
+        self._facts: Facts = ()
         self._asked: Asked | None = None
         self._shown = 0
         self._pace = Pace()
@@ -147,15 +149,19 @@ class LivePreview:
             return
         now = time.monotonic()
         if now >= self._look_from:
-            self._look_from = now + MODEL_SECONDS
-            if not models_are_current():
-                self.touch(scene)
+            self._look_from = now + LOOK_SECONDS
+            self._look(scene)
         if worker is not None and worker.alive and worker.busy:
             self._doubt(scene, now)
         elif self._changed is not None and now >= self._sample_from:
             self._follow(scene)
         elif self._changed is None and worker is not None and worker.ready and not worker.error:
             self._refine(max(widths))
+
+    def _look(self, scene: bpy.types.Scene) -> None:
+        before, self._facts = self._facts, facts_of(scene)
+        if before != self._facts:
+            self.touch(scene)
 
     def _doubt(self, scene: bpy.types.Scene, now: float) -> None:
         """While a picture takes long, hide the one before if the figure has moved on: it must not stand still there."""
@@ -178,6 +184,8 @@ class LivePreview:
         """Sample the scene and ask for a draft, if it shows something else than before."""
         plans = actions.actor_plans(scene)
         worker, self._served = _worker(plans)
+        if worker is not self._worker:  # the last picture is of another model, or of a pose that is gone
+            self._show(scene, None)
         known = worker is self._worker and kept_models() == self._models
         self._worker, self._models = worker, kept_models()
         if not worker.ready:

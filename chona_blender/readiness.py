@@ -33,7 +33,7 @@ def _obstacles(scene: bpy.types.Scene) -> Iterator[str]:
 
 def _obstacles_of(actor: CHONA_PG_actor) -> Iterator[str]:
     if not actor.model_path:
-        yield "choose a model file, or switch the actor off"
+        yield "Choose a model file, or switch the actor off"
         return
     problem = model_cache.cached_error(actor.model_path)
     if problem:

@@ -61,10 +61,26 @@ def test_the_newest_request_wins_and_a_refused_one_harms_nothing(answer: dict) -
     assert answer["alive after a refusal"]
 
 
+def test_actors_of_several_models_are_shown(answer: dict) -> None:
+    models, alone, both, same_worker = answer["two models"]
+    assert models[0] == "" and models[1].endswith("other.safetensors")
+    assert alone < 0.05 and both > 0.5 and same_worker
+    assert answer["first switched off"] < 0.05
+
+
+def test_no_picture_stands_still_while_the_figure_moves(answer: dict) -> None:
+    assert answer["stands still"] == [True, "waiting for the worker"]
+    assert answer["goes on"] in {"draft", "preview"}
+    quick, slow, slowest = answer["patience"][0::2]
+    assert (quick, slow, slowest) == (0.5, 0.8, 2.0)
+    assert answer["patience"][1::2] == pytest.approx([0.25, 0.25 * 0.5**0.5, 96 / 1024])
+
+
 def test_a_dead_worker_is_told_and_replaced(answer: dict) -> None:
-    error, line, alert = answer["killed"]
-    assert error.startswith("The worker was ended by signal 9")
-    assert (line, alert) == (error, True)
+    for error, line, alert, hidden in answer["killed"]:
+        assert error.startswith("The worker was ended by signal 9") and error.endswith("press Start Again")
+        assert (line, alert, hidden) == (error, True, True)
+    assert answer["waits"] == [True, 0, True]
     assert answer["restarted"] == ["", True, 1]
 
 

@@ -1,7 +1,7 @@
 """Runs inside the real Blender with a window: what an animator does while the live preview is on; counts what is left.
 
-`blender --python-use-system-env --python live_window.py -- MODEL PYTHON FOLDER`, with the repository and this folder on
-$PYTHONPATH; PYTHON is the worker's.
+`blender --python-use-system-env --python live_window.py -- MODEL PYTHON FOLDER [PART…]`, with the repository and this
+folder on $PYTHONPATH; PYTHON is the worker's, and without parts all are told.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from window import Drive, call, region_of, until, view_area, window
 import chona_blender
 from chona_blender import live, live_view
 
-model, python, out = (Path(part) for part in sys.argv[sys.argv.index("--") + 1 :][:3])
+words = sys.argv[sys.argv.index("--") + 1 :]
+model, python, out = (Path(part) for part in words[:3])
+chosen = words[3:]
 os.environ["CHONA_WORKER_PYTHON"] = str(python)
 drive = Drive(out)
 answer = drive.answer
 preview = live.preview
-PATIENCE = 120.0
+PATIENCE = 300.0
 SIZE = (96, 72)
 
 
@@ -48,10 +50,17 @@ def stage() -> str:
     return preview.canvas.line.split(" ")[0]
 
 
+def settled() -> bool:
+    """Whether the pose has its final picture, and nothing is under way."""
+    asked = preview._asked
+    return preview._changed is None and asked is not None and asked.number == preview._shown and stage() == "final"
+
+
 def at_rest() -> Iterator[float]:
-    """Wait until the pose has its final picture."""
-    yield 0.1  # the change is seen with the next redraw
-    yield from until(lambda: preview._changed is None and stage() == "final" and not preview.canvas.is_empty, PATIENCE)
+    """Let Blender see an edit, and wait for the final picture of what is now."""
+    window().view_layer.update()
+    yield 0.05
+    yield from until(lambda: settled() and not preview.canvas.is_empty, PATIENCE)
 
 
 def in_view(operator: Callable[..., object], *arguments: object, **options: object) -> object:
@@ -132,22 +141,11 @@ def story() -> Iterator[float]:
     yield from at_rest()
     yield from drive.picture("at_rest")
     answer["while on"] = traces()
-    for part in (
-        views,
-        cameras,
-        playback,
-        stale,
-        history,
-        renders,
-        shadings,
-        wrong_states,
-        worker_ends,
-        models,
-        scenes,
-    ):
-        answer["part"] = part.__name__
-        yield from part()
-    yield from leaks()
+    for part in PARTS:
+        if part.__name__ in chosen or not chosen:
+            answer["part"] = part.__name__
+            yield from part()
+            drive.save()
     yield from ends()
 
 
@@ -348,16 +346,17 @@ def wrong_states() -> Iterator[float]:
 def worker_ends() -> Iterator[float]:
     """Killed twice: the first time the next pose starts another, then the button does."""
     told = answer["killed"] = []
-    for _ in range(2):
+    for again in (False, True):
         os.kill(preview._worker._process.pid, signal.SIGKILL)
         yield from until(lambda: "signal" in preview.error, 20.0)
-        told.append([preview.error, preview.canvas.is_empty, preview.stopped])
+        told.append([preview.error, preview.canvas.is_empty])
         bone().rotation_euler.y += 0.1
-        yield 1.0
-        told.append(preview.stopped)
-        if preview.stopped:
+        if again:
+            window().view_layer.update()
+            yield 1.0
+            answer["waits for the button"] = preview.stopped
             yield from drive.picture("start_again")
-            told.append(call("chona.live_restart", "EXEC_DEFAULT"))
+            answer["button"] = call("chona.live_restart", "EXEC_DEFAULT")
         yield from at_rest()
     answer["after restart"] = traces()
 
@@ -435,4 +434,5 @@ def ends() -> Iterator[float]:
     bpy.ops.wm.quit_blender()
 
 
+PARTS = (views, cameras, playback, stale, history, renders, shadings, wrong_states, worker_ends, models, scenes, leaks)
 drive.run(story())

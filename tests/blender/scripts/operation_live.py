@@ -135,16 +135,64 @@ def newest_wins() -> None:
     answer["alive after a refusal"] = worker.alive
 
 
-def worker_dies() -> None:
-    """A crash is told, and the next change of the pose starts another worker."""
-    old = preview._worker
-    os.kill(old._process.pid, signal.SIGKILL)
-    until(lambda: "signal" in preview.error)
-    answer["killed"] = [preview.error, preview.canvas.line, preview.canvas.alert]
-    bpy.context.scene.chona.armature.location.x = 0.1
+def another_model() -> None:
+    """An actor of another file stands beside the first; switched off, it is gone."""
+    settings, other = bpy.context.scene.chona, model.with_name("other.safetensors")
+    shutil.copy(model, other)
+    alone, first = picture()[..., 3], preview._worker
+    bpy.ops.chona.actor_add()
+    settings.model_path = str(other)
+    bpy.ops.chona.create_rig()
+    settings.armature.location.x = 0.6
     settle()
-    until(lambda: preset() == "draft")
-    answer["restarted"] = [preview.error, preview._worker is not old, processes()]
+    until(lambda: preview._changed is None and preset() == "final" and len(preview._shot.header["actors"]) == 2)
+    both = picture()[..., 3]
+    middle = both.shape[1] * 5 // 8
+    answer["two models"] = [
+        [each.get("model", "") for each in preview._shot.header["actors"]],
+        float(alone[:, middle:].max()), float(both[:, middle:].max()), preview._worker is first,
+    ]  # fmt: skip
+    settings.actors[0].use = False
+    until(lambda: len(preview._shot.header["actors"]) == 1 and preset() == "final")
+    answer["first switched off"] = float(picture()[:, :middle, 3].max())
+    settings.actors[0].use = True
+    bpy.data.objects.remove(settings.armature)
+    settings.actors.remove(1)
+    settings.active_actor = 0
+    settle()
+    until(lambda: len(preview._shot.header["actors"]) == 1 and preset() == "final")
+
+
+def stands_still() -> None:
+    """A worker that does not answer while the figure moves: the old picture goes, and a new one comes."""
+    process = preview._worker._process.pid
+    os.kill(process, signal.SIGSTOP)
+    bpy.context.scene.chona.armature.location.x = 0.05
+    settle()
+    until(lambda: picture() is None, 20.0)
+    answer["stands still"] = [picture() is None, preview.canvas.line]
+    os.kill(process, signal.SIGCONT)
+    until(lambda: picture() is not None)
+    answer["goes on"] = preset()
+
+
+def worker_dies() -> None:
+    """A crash is told, and the next change of the pose starts another worker; after a second one a button does."""
+    answer["killed"] = []
+    armature = bpy.context.scene.chona.armature
+    for again in (False, True):
+        old = preview._worker
+        os.kill(old._process.pid, signal.SIGKILL)
+        until(lambda: "signal" in preview.error)
+        answer["killed"].append([preview.error, preview.canvas.line, preview.canvas.alert, picture() is None])
+        armature.location.x += 0.1
+        settle()
+        if again:
+            until(lambda: preview._changed is None)
+            answer["waits"] = [preview.stopped, processes(), bpy.ops.chona.live_restart.poll()]
+            bpy.ops.chona.live_restart()
+        until(lambda: preset() == "draft")
+        answer["restarted"] = [preview.error, preview._worker is not old, processes()]
 
 
 def model_changes() -> None:
@@ -203,6 +251,10 @@ def sizes() -> None:
     pace.learn(2, 8000.0, 800 * 600)
     scales.append(pace.scale(2, image, 800.0))
     answer["scales"] = scales
+    answer["patience"] = []
+    for seconds in (0.01, 0.4, 30.0):
+        pace.learn(0, seconds, 256 * 192)
+        answer["patience"] += [pace.patience, pace.scale(0, image, 800.0)]
 
 
 chona_blender.register()
@@ -211,7 +263,9 @@ look_through_camera()
 answer["before"] = traces()
 follow_pose()
 answer["on"] = traces()
+another_model()
 newest_wins()
+stands_still()
 worker_dies()
 model_changes()
 errors_in_words()
