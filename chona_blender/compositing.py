@@ -250,7 +250,7 @@ def _cryptomatte(
         matte = mark(tree.nodes.new(CRYPTOMATTE), name)
         matte.source = "IMAGE"
         matte.label = f"{node.node_tree.name} Cryptomatte"
-        matte.location = (node.location.x, node.location.y - 320.0)
+        matte.location = (node.location.x, node.location.y - 520.0)
         tree.links.new(node.outputs["Image"], matte.inputs["Image"])
         matte.image = sequence_image(node.node_tree)
         matte.matte_id = next((entry for entry in _crypto_names(header) if "," not in entry), "")

@@ -30,10 +30,12 @@ CASTER = {
 
 def cast_shadows(items: Iterable[bpy.types.Object], name: str) -> None:
     """Make the objects casters for the layer `name`."""
-    for item in items:
+    casters = list(items)
+    for item in casters:  # all of them first: an actor's setting changes all its stand-ins
         kept = json.loads(item.get(KEPT, "{}")) or _now(item)
         kept["layers"] = sorted({*kept["layers"], name})
         item[KEPT] = json.dumps(kept)
+    for item in casters:
         for settings in _settings(item):
             settings.use = "SHADOW"
         for key, value in CASTER.items():
@@ -43,6 +45,7 @@ def cast_shadows(items: Iterable[bpy.types.Object], name: str) -> None:
 def stop_shadows(name: str, staying: Iterable[bpy.types.Object] = ()) -> None:
     """Let all objects but those that stay be what they were before the layer `name` used them."""
     stays = set(staying)
+    freed = []
     for item in bpy.data.objects:
         if KEPT not in item or item in stays:
             continue
@@ -50,10 +53,13 @@ def stop_shadows(name: str, staying: Iterable[bpy.types.Object] = ()) -> None:
         kept["layers"] = [layer for layer in kept["layers"] if layer != name]
         if kept["layers"]:
             item[KEPT] = json.dumps(kept)
-            continue
-        del item[KEPT]
+        else:
+            del item[KEPT]
+            freed.append((item, kept))
+    for item, kept in freed:
         for settings in _settings(item):
             settings.use = kept["use"]
+    for item, kept in freed:
         for key, value in kept["flags"].items():
             setattr(item, key, value)
 

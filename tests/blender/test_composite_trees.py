@@ -141,6 +141,14 @@ def test_a_layer_of_an_earlier_version_is_brought_up_to_date(cases: tuple[Path, 
     np.testing.assert_allclose(read(out / "older.exr")[:, : WIDTH * 3 // 4, :3] - COLOUR, 0.0, atol=2e-3)
 
 
+def test_stand_ins_of_an_actor_are_given_back(cases: tuple[Path, dict]) -> None:
+    """Both cast shadows, then both are holdouts again, the second as invisible to mirrors as it was."""
+    _, answer = cases
+    caster = [False, False, False, True]
+    assert answer["stand-ins"][0] == ["SHADOW", [caster, caster]]
+    assert answer["stand-ins"][1] == ["HOLDOUT", [[False, True, True, True], [False, True, True, False]]]
+
+
 def test_several_scenes(cases: tuple[Path, dict]) -> None:
     """Each has its layer; in 5.x both show one tree, so the layer goes from both."""
     _, answer = cases

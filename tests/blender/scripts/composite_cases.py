@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 from operation_scene import CAMERA_HEIGHT, emission_plane, empty_scene, render, say
 
+import chona_blender
 from chona_blender import compositing
 from chona_blender.compositing import CompositeOptions, Figure
 from chona_blender.errors import ChonaError
@@ -149,6 +150,26 @@ for item in list(group.interface.items_tree):
         group.interface.remove(item)
 compositing.add_layer(scene, frames, "walk")
 render(scene, out / "older.exr", 4)
+
+# Two stand-ins of an actor: the setting in their panel says what they are, and both are given back as they were.
+scene = empty_scene()
+chona_blender.register()
+actor = scene.chona.actors.add()
+parts = [bpy.data.objects.new(name, bpy.data.meshes.new(name)) for name in ("person", "crate")]
+for part in parts:
+    scene.collection.objects.link(part)
+    entry = actor.stand_in.parts.add()
+    entry.name, entry.object = part.name, part
+parts[1].visible_glossy = False
+actor.stand_in.use = "HOLDOUT"
+figure = Figure(parts[0], stand_ins=tuple(parts))
+uses = []
+for use in (True, False):
+    compositing.add_layer(scene, frames, "walk", CompositeOptions(shadows=use, figure=figure))
+    flags = [[part.hide_render, part.visible_camera, part.is_holdout, part.visible_glossy] for part in parts]
+    uses.append([actor.stand_in.use, flags])
+answer["stand-ins"] = uses
+chona_blender.unregister()
 
 # Two scenes; in 5.x they share a tree.
 scene = empty_scene()
