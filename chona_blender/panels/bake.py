@@ -52,12 +52,12 @@ class CHONA_PT_bake(Sidebar, bpy.types.Panel):
         column = self.layout.column(align=True)
         button = column.row(align=True)
         button.scale_y = 1.4
-        button.operator("chona.bake", text=f"Bake {describe_frames(frames)}", icon="RENDER_ANIMATION")
+        words = describe_frames(frames)
+        button.operator("chona.bake", text=f"Bake {words[:1].upper()}{words[1:]}", icon="RENDER_ANIMATION")
         button.operator("chona.bake", text="", icon="RENDER_STILL").current = True
         parts = (_there_words(frames, output), cost_table.time_of_bake(context.scene))
-        words = "   ".join(part for part in parts if part)
-        if words:
-            column.label(text=words, icon="TIME")
+        if any(parts):
+            column.label(text="   ".join(part for part in parts if part), icon="TIME")
         row = self.layout.row(align=True)
         row.operator("chona.show_frames", icon="IMAGE_DATA")
         row.operator("chona.open_output", text="Open Folder", icon="FILE_FOLDER")
@@ -65,6 +65,7 @@ class CHONA_PT_bake(Sidebar, bpy.types.Panel):
     def draw_preview(self, context: bpy.types.Context) -> None:
         """The switch of the live preview, and why nothing is seen."""
         preview = live.preview
+        self.layout.separator()
         row = self.layout.row(align=True)
         row.operator("chona.live_preview", icon="VIEW_CAMERA", depress=preview.is_on_for(context.scene))
         if preview.is_on_for(context.scene):
