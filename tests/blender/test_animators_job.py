@@ -6,6 +6,7 @@ baked file and from a render without the layer.
 
 from __future__ import annotations
 
+import json
 import sys
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from operation_helpers import bpy_pythons, needs_worker, run_bpy
 pytestmark = pytest.mark.bpy
 every_blender = pytest.mark.parametrize("python", bpy_pythons())
 
-FRAMES = range(1, 11)
+FRAMES, MIDDLE = range(1, 11), 5
 PILLAR = (0.8, 0.1, 0.1)
 WALL_DEPTH = 4.6
 REACH = 0.2
@@ -110,7 +111,7 @@ def test_the_composite_is_the_bake_over_the_scene(python: str, folder: Path) -> 
         expected = np.where(
             pillar[..., None] | ~front, plate, colour(found, "Combined.") + (1.0 - alpha[..., None]) * plate
         )
-        np.testing.assert_allclose(seen, expected, atol=2e-3, err_msg=f"frame {number}")
+        np.testing.assert_allclose(seen, expected, atol=1e-6, err_msg=f"frame {number}")
         np.testing.assert_array_equal(seen[alpha == 0], plate[alpha == 0])
         hidden += int((pillar & (alpha > 0.5)).sum())
         assert np.abs(seen - plate)[(alpha > 0.9) & ~pillar].max() > 0.3
@@ -122,7 +123,48 @@ def test_nothing_is_left_beyond_the_bake_and_after_removal(python: str, folder: 
     out, _ = job(python, folder)
     plate = picture(out, "plate", 1)
     np.testing.assert_array_equal(picture(out, "composite", FRAMES[-1] + 1), plate)
-    np.testing.assert_array_equal(picture(out, "removed", 5), plate)
+    np.testing.assert_array_equal(picture(out, "removed", MIDDLE), plate)
+
+
+@every_blender
+def test_normals_face_the_camera_and_names_are_there(python: str, folder: Path) -> None:
+    """Of what is seen, hardly anything faces away; the Cryptomatte's manifest names person and box."""
+    out, _ = job(python, folder)
+    found = baked(out, MIDDLE)
+    normal = np.stack([found[f"Normal.{axis}"] for axis in "XYZ"], axis=-1)
+    solid = found["Combined.A"] > 0.9
+    np.testing.assert_allclose(np.linalg.norm(normal[solid], axis=-1), 1.0, atol=0.01)
+    assert (normal[solid] @ (0.0, -1.0, 0.0) > 0.0).mean() > 0.9
+    assert not normal[found["Combined.A"] == 0].any()
+    header = OpenEXR.File(str(out / "frames" / f"walk_{MIDDLE:04d}.exr")).header()
+    manifest = next(text for name, text in header.items() if name.endswith("/manifest"))
+    assert set(json.loads(manifest)) == {"rig.Sub01", "rig.box01"}
+
+
+@every_blender
+def test_the_stand_in_throws_a_shadow(python: str, folder: Path) -> None:
+    """With shadows on, the floor beside the figure gets dark in one place, and nothing gets brighter."""
+    out, answer = job(python, folder)
+    assert set(answer["stand-in"]) == {"Sub01", "box01"}
+    assert all(polygons > 100 and hidden for polygons, hidden in answer["stand-in"].values())
+    assert answer["with shadows"] == ["FINISHED"]
+    lit, shadow = picture(out, "lit", MIDDLE), picture(out, "shadow", MIDDLE)
+    beside = baked(out, MIDDLE)["Combined.A"] == 0
+    darker = (lit - shadow).max(axis=-1) > 0.1
+    assert 20 < (darker & beside).sum() < 0.05 * beside.size
+    assert (shadow - lit)[beside].max() < 0.02
+
+
+@every_blender
+def test_motion_blur_spreads_the_figure(python: str, folder: Path) -> None:
+    """As much of it in all, less of it sharp."""
+    out, answer = job(python, folder)
+    assert answer["blurred"] == ["FINISHED"]
+    sharp = baked(out, MIDDLE)["Combined.A"]
+    blurred = channels(out / "frames" / f"blurred_{MIDDLE:04d}.exr")["Combined.A"]
+    assert blurred.sum() == pytest.approx(sharp.sum(), rel=0.05)
+    soft = [((alpha > 0.1) & (alpha < 0.9)).sum() for alpha in (sharp, blurred)]
+    assert soft[1] > 1.3 * soft[0]
 
 
 def test_versions_agree(folder: Path) -> None:

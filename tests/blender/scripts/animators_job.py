@@ -17,11 +17,11 @@ from operation_scene import emission_plane, empty_scene, render, say
 from rig_bodies import RIGS, M, build
 
 import chona_blender
-from chona_blender import check_store, commands, compositing
+from chona_blender import check_store, commands, compositing, standin
 
 model, python, out = (Path(part) for part in sys.argv[1:4])
 os.environ["CHONA_WORKER_PYTHON"] = str(python)
-LAST = 10
+LAST, MIDDLE = 10, 5
 WIDTH, HEIGHT = 96, 72
 BOX_BEFORE_HIPS = Vector((0.0, -0.4, 0.4))
 """Where the tiny capture's box is, metres."""
@@ -45,7 +45,7 @@ def build_set() -> bpy.types.Scene:
 
 def walk(rig: bpy.types.Object) -> None:
     """From left to right, the trunk turning and bending."""
-    for frame, across, turn, bend in ((1, -0.3, 0.4, 0.0), (5, 0.0, 0.1, 0.2), (LAST, 0.3, -0.4, 0.1)):
+    for frame, across, turn, bend in ((1, -0.3, 0.4, 0.0), (MIDDLE, 0.0, 0.1, 0.2), (LAST, 0.3, -0.4, 0.1)):
         for name, angles in (("Hips", (0.0, turn, 0.0)), ("Spine2", (bend, 0.0, 0.0)), ("Head", (-bend, -turn, 0.0))):
             bone = rig.pose.bones[M + name]
             armature_from_bone = bone.bone.matrix_local.to_quaternion()
@@ -67,6 +67,14 @@ def hand_over(box: bpy.types.Object, rig: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     box.matrix_world = Matrix.Translation(rig.matrix_world @ bone.head + BOX_BEFORE_HIPS)
     bpy.context.view_layer.update()
+
+
+def add_floor_and_sun(scene: bpy.types.Scene) -> None:
+    """A white floor, and a lamp without size high in front, on the left: a sharp shadow goes back to the right."""
+    bpy.ops.mesh.primitive_plane_add(size=6.0, location=(0.0, 0.0, 0.5))
+    bpy.ops.object.light_add(type="SUN", rotation=(radians(50.0), 0.0, radians(-20.0)))
+    bpy.context.object.data.energy, bpy.context.object.data.angle = 3.0, 0.0
+    scene.cycles.max_bounces = 0
 
 
 def in_picture(scene: bpy.types.Scene, point: Vector) -> list[float]:
@@ -101,6 +109,7 @@ answer["findings"] = [[each.kind, each.words] for each in check_store.report_of(
 
 render(scene, frame_path("plate", 1), 1)
 settings.name, settings.output_folder, settings.preset = "walk", str(out / "frames"), "final"
+settings.passes.normal = True
 answer["baked"] = list(bpy.ops.chona.bake())
 render(scene, frame_path("composite", 1), 1)
 for number in range(1, LAST + 1):
@@ -113,6 +122,20 @@ for number in range(1, LAST + 1):
 render(scene, frame_path("composite", LAST + 1), LAST + 1)
 answer["baked again"] = commands.main(["bake"])
 answer["removed"] = [commands.main(["composite", "--remove"]), compositing.has_layers(scene)]
-render(scene, frame_path("removed", 5), 5)
+render(scene, frame_path("removed", MIDDLE), MIDDLE)
+
+bpy.ops.chona.stand_in_make()
+meshes = standin.stand_ins(settings.actor)
+answer["stand-in"] = {item["chona_stand_in"]: [len(item.data.polygons), item.hide_render] for item in meshes}
+add_floor_and_sun(scene)
+render(scene, frame_path("lit", MIDDLE), MIDDLE)
+settings.composite.shadows = True
+answer["with shadows"] = list(bpy.ops.chona.composite())
+render(scene, frame_path("shadow", MIDDLE), MIDDLE)
+
+scene.frame_set(MIDDLE)
+scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+settings.name, settings.frame_range, settings.composite_after = "blurred", "CURRENT", False
+answer["blurred"] = list(bpy.ops.chona.bake())
 chona_blender.unregister()
 say(answer)

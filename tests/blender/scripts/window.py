@@ -60,6 +60,7 @@ class Drive:
         self._screen(f"{len(self.pictures) + 1:02d}_{name}")
 
     def _screen(self, name: str) -> None:
+        subprocess.run(["xdotool", "mousemove", "4", "4"], check=True)  # no tooltips
         subprocess.run(["scrot", "-o", str(self.out / f"{name}.png")], check=True)
         self.pictures.append(name)
 
