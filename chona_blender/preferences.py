@@ -42,7 +42,7 @@ class CHONA_AP_preferences(bpy.types.AddonPreferences):
         default="cpu",
     )
     setup_python: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Made of",
+        name="Base Python",
         description="Python 3.11 or newer that Set Up Worker makes the environment of; empty for Blender's own, or "
         "the first good one of the system where Blender's cannot",
         subtype="FILE_PATH",
@@ -62,6 +62,8 @@ class CHONA_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "worker_python")
         layout.prop(self, "device")
         draw_worker(layout, context)
+        layout.separator()
+        layout.label(text="Environment of the Worker")
         draw_setup(layout, context, self)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
 from .. import diagnosis, jobs, live_kept, preferences, worker_home, worker_setup
 from ..errors import ChonaError
 from ..i18n import report_text
-from ..panels.sidebar import wrapped
 
 
 class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
@@ -22,7 +23,7 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )  # fmt: skip
     python: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Made of", description="Python 3.11 or newer to make the environment of; empty to find one",
+        name="Base Python", description="Python 3.11 or newer to make the environment of; empty to find one",
         subtype="FILE_PATH", options={"SKIP_SAVE"},
     )  # fmt: skip
     wheels: bpy.props.StringProperty(  # type: ignore[valid-type]
@@ -34,7 +35,8 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )  # fmt: skip
 
-    _outlook: worker_setup.Outlook | None = None
+    _lines: tuple[tuple[str, str], ...] = ()
+    """Of the dialog, with their icons; empty where there was none."""
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
@@ -48,23 +50,36 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
                 if not self.properties.is_property_set(name):
                     setattr(self, name, getattr(found, f"setup_{name}"))
         try:
-            self._outlook = worker_setup.outlook(self._choice())
+            outlook = worker_setup.outlook(self._choice())
+            if outlook.problem:
+                raise ChonaError(outlook.problem)
         except ChonaError as error:
             return jobs.fail(self, error)
-        if self._outlook.problem:
-            return jobs.fail(self, ChonaError(self._outlook.problem))
+        self._lines = tuple(
+            (part, "BLANK1" if number else "DOT")
+            for line in outlook.lines
+            for number, part in enumerate(textwrap.wrap(line, 80))
+        )
         return context.window_manager.invoke_props_dialog(self, width=520, title="Set Up Worker", confirm_text="Set Up")
 
     def draw(self, _context: bpy.types.Context) -> None:
-        column = self.layout.column()
-        for line in () if self._outlook is None else self._outlook.lines:
-            wrapped(column, line, icon="DOT", context=None)
+        column = self.layout.column(align=True)
+        for text, icon in self._lines:
+            column.label(text=text, icon=icon)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """After the dialog the window stays usable; from a script it is waited for."""
-        if self._outlook is None:
+        if not self._lines:
             return super().execute(context)
         return super().invoke(context, None)
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """The preferences show the progress too."""
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "PREFERENCES":
+                    area.tag_redraw()
+        return super().modal(context, event)
 
     def start(self, _context: bpy.types.Context) -> jobs.Job:
         live_kept.close_kept()  # it may run in the environment that is replaced

@@ -248,7 +248,7 @@ def start_capture() -> set[str]:
 
 def show_only_closed_panels() -> None:
     """Take away the panels that begin open, to have room for the others."""
-    kept = {"CHONA_PT_main", "CHONA_PT_capture", "CHONA_PT_train", "CHONA_PT_worker"}
+    kept = {"CHONA_PT_main", "CHONA_PT_capture", "CHONA_PT_train", "CHONA_PT_worker", "CHONA_PT_worker_setup"}
     for cls in reversed(module("panels").CLASSES):  # those that stand inside others first
         if issubclass(cls, bpy.types.Panel) and cls.__name__ not in kept:
             bpy.utils.unregister_class(cls)
