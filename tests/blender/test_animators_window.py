@@ -25,8 +25,8 @@ from PIL import Image
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 WIDTH = 320
 STEPS = (
-    "installed", "nothing_set", "model", "mapped", "checked", "stand_in", "live_preview", "estimated", "bake_runs", "baked",
-    "compositor", "rendered",
+    "installed", "nothing_set", "model", "mapped", "checked", "stand_in", "live_preview", "estimated",
+    "bake_runs", "baked", "compositor", "rendered",
 )  # fmt: skip
 SECONDS = 1500
 """For everything: the first worker compiles its kernels."""
