@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .jobs import CANCELLED, FAILED, RUNNING, Job, duration
+from .jobs import CANCELLED, DONE, RUNNING, Job, duration
 from .train_view import TrainView
 
 PAUSED = "PAUSED"
@@ -81,9 +81,8 @@ class TrainJob(Job):
         ended = super().poll()
         if ended:
             _remove(self.run / STOP)
-            if self.status == FAILED and self._stopped:
-                # The farm's SIGTERM ends it as well: what is there is kept, and can be resumed.
-                self.status = self._becomes or PAUSED
+            if self.status != DONE and (self._stopped or self.worker.cancelled_at is not None):
+                self.status = self._becomes or PAUSED  # its checkpoint is there, whoever ended it
                 self.error = f"{self.title} was {self.status.lower()}"
         self.view.follow(force=ended)
         self.told(self)
