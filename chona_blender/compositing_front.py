@@ -14,6 +14,7 @@ import bpy
 
 from .camera import scene_camera
 from .compositing_group import MARK
+from .compositing_shadow import KEPT
 from .errors import ChonaError
 
 CARD_HALF_SIZE = 1000.0
@@ -153,6 +154,8 @@ def _add_holdout(collection: bpy.types.Collection, stand_in: bpy.types.Object) -
     """The same mesh in the same place, for the camera alone."""
     holdout = stand_in.copy()
     holdout.name = f"{collection.name} {stand_in.name}"
+    if KEPT in holdout:  # what is to be given back to the stand-in itself
+        del holdout[KEPT]
     _only_for_camera(holdout)
     collection.objects.link(holdout)
 

@@ -40,7 +40,9 @@ def pictures(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         "CHONA.Depth.Z": np.full((HEIGHT, WIDTH), 1e10, np.float32),
     }
     OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / "empty_0001.exr"))
-    run_bpy(request.param, "composite_shadow.py", folder, folder)
+    answer = run_bpy(request.param, "composite_shadow.py", folder, folder)
+    caster, holdout = ["box", False, False], ["CHONA empty front box", False, True]
+    assert sorted(answer["both"]) == sorted([caster, holdout])
     files = (path for path in folder.glob("*.exr") if path.stem != "empty_0001")
     return {
         path.stem: OpenEXR.File(str(path), separate_channels=True).channels()["R"].pixels.astype(float)

@@ -68,6 +68,7 @@ def depth_to_output(scene: bpy.types.Scene) -> None:
     tree.links.new(node.outputs["Depth"], target)
 
 
+answer: dict = {}
 for name, options in (
     ("none", {}),
     ("shadows", {"shadows": True}),
@@ -78,8 +79,10 @@ for name, options in (
     figure = Figure(box, stand_ins=(box,))
     if name == "taken back":
         compositing.add_layer(scene, frames, "empty", CompositeOptions(shadows=True, figure=figure))
-    compositing.add_layer(scene, frames, "empty", CompositeOptions(figure=figure, **options))
+    for _ in range(2):  # the second click must find everything as the first one left it
+        compositing.add_layer(scene, frames, "empty", CompositeOptions(figure=figure, **options))
+    answer[name] = [[item.name, item.hide_render, item.visible_camera] for item in scene.objects if "box" in item.name]
     render(scene, out / f"{name}.exr", 1)
     depth_to_output(scene)
     render(scene, out / f"{name} depth.exr", 1)
-say({"version": list(bpy.app.version)})
+say(answer)
