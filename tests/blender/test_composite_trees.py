@@ -141,6 +141,16 @@ def test_a_layer_of_an_earlier_version_is_brought_up_to_date(cases: tuple[Path, 
     np.testing.assert_allclose(read(out / "older.exr")[:, : WIDTH * 3 // 4, :3] - COLOUR, 0.0, atol=2e-3)
 
 
+def test_the_card_keeps_the_figures_distance(cases: tuple[Path, dict]) -> None:
+    """Square to the camera, at the depth of the hips, in the front view layer alone."""
+    _, answer = cases
+    depths = [hips for _, hips, _ in answer["card"]]
+    assert len(set(depths)) == 3 and max(depths) < -1.0
+    for place, hips, angles in answer["card"]:
+        np.testing.assert_allclose([*place, *angles], [0.0, 0.0, hips, 0.0, 0.0, 0.0], atol=1e-5)
+    assert answer["card in"] == [["ViewLayer", False], ["CHONA walk front", True]]
+
+
 def test_stand_ins_of_an_actor_are_given_back(cases: tuple[Path, dict]) -> None:
     """Both cast shadows, then both are holdouts again, the second as invisible to mirrors as it was."""
     _, answer = cases

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import bpy
+from mathutils import Euler, Matrix
 from operation_scene import CAMERA_HEIGHT, emission_plane, empty_scene, render, say
 
 import chona_blender
@@ -150,6 +151,34 @@ for item in list(group.interface.items_tree):
         group.interface.remove(item)
 compositing.add_layer(scene, frames, "walk")
 render(scene, out / "older.exr", 4)
+
+# The card keeps a bone's distance from a camera that looks askew, in every frame.
+scene = empty_scene()
+scene.camera.matrix_world = Matrix.Translation((3.0, -4.0, 2.0)) @ Euler((1.2, 0.1, 0.7)).to_matrix().to_4x4()
+scene.camera.data.type = "PERSP"
+armature = bpy.data.objects.new("rig", bpy.data.armatures.new("rig"))
+scene.collection.objects.link(armature)
+bpy.context.view_layer.objects.active = armature
+bpy.ops.object.mode_set(mode="EDIT")
+bone = armature.data.edit_bones.new("hips")
+bone.head, bone.tail = (0.0, 0.0, 0.9), (0.0, 0.0, 1.1)
+bpy.ops.object.mode_set(mode="OBJECT")
+for frame, x in ((1, 0.0), (9, 2.0)):
+    armature.pose.bones["hips"].location.x = x
+    armature.pose.bones["hips"].keyframe_insert("location", frame=frame)
+compositing.add_layer(scene, frames, "walk", CompositeOptions(refined=True, figure=Figure(armature, "hips")))
+card = bpy.data.objects["CHONA walk front card"]
+card.hide_viewport = False  # it is shown to renders alone, and evaluated for these
+bpy.context.window.view_layer = scene.view_layers["CHONA walk front"]
+answer["card"] = []
+for frame in (1, 5, 9):
+    scene.frame_set(frame)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    seen = scene.camera.matrix_world.inverted() @ card.evaluated_get(depsgraph).matrix_world
+    rig = armature.evaluated_get(depsgraph)
+    hips = scene.camera.matrix_world.inverted() @ rig.matrix_world @ rig.pose.bones["hips"].head
+    answer["card"].append([list(seen.translation), hips.z, list(seen.to_euler())])
+answer["card in"] = [[layer.name, card.name in layer.objects] for layer in scene.view_layers]
 
 # Two stand-ins of an actor: the setting in their panel says what they are, and both are given back as they were.
 scene = empty_scene()
