@@ -19,14 +19,15 @@ class CHONA_PT_blur(Sidebar, bpy.types.Panel):
         scene, settings = context.scene, context.scene.chona.blur
         camera = scene.camera
         focuses = camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
-        column = self.columns()
-        column.prop(settings, "use_motion_blur")
+        boxes = self.layout.column()
+        boxes.use_property_split = False  # beside a split their names are too long for a sidebar
+        boxes.prop(settings, "use_motion_blur")
         if settings.use_motion_blur and not scene.render.use_motion_blur:
-            column.label(text="Off in the scene's render properties", icon="INFO")
-        column.prop(settings, "use_depth_of_field")
+            boxes.label(text="Off in the scene's render properties", icon="INFO")
+        boxes.prop(settings, "use_depth_of_field")
         if settings.use_depth_of_field and not focuses:
-            column.label(text="Off in the camera's properties", icon="INFO")
-        part = column.column()
+            boxes.label(text="Off in the camera's properties", icon="INFO")
+        part = self.columns()
         part.active = (settings.use_motion_blur and scene.render.use_motion_blur) or (
             settings.use_depth_of_field and focuses
         )
