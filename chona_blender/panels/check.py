@@ -11,6 +11,11 @@ from .sidebar import Sidebar, wrapped
 _ICONS = {ERROR: "CANCEL", WARNING: "ERROR", INFO: "INFO"}
 
 
+def without_namespace(name: str) -> str:
+    """`mixamorig:LeftArm` -> `LeftArm`: rows are narrow, and namespaces are the same in all of them."""
+    return name.rpartition(":")[2]
+
+
 class CHONA_UL_findings(bpy.types.UIList):
     """What is wrong, each with a button that goes there."""
 
@@ -27,7 +32,7 @@ class CHONA_UL_findings(bpy.types.UIList):
     ) -> None:
         row = layout.row(align=True)
         parts = row.split(factor=0.52, align=True)
-        parts.label(text=item.title, icon=_ICONS.get(item.kind, "INFO"))
+        parts.label(text=without_namespace(item.title), icon=_ICONS.get(item.kind, "INFO"))
         parts.label(text=item.short)
         row.operator("chona.show_finding", text="", icon="RESTRICT_SELECT_OFF").index = index
 
@@ -57,9 +62,9 @@ class CHONA_PT_check(Sidebar, bpy.types.Panel):
                 words = f"{finding.actor}: {finding.words}" if several else finding.words
                 box = self.layout.box()
                 wrapped(box, words, icon=_ICONS[finding.kind], context=context)
-                where = finding.bone or finding.item
+                where = without_namespace(finding.bone or finding.item)
                 text = f"Select {where}" if where else "Select"
-                text += f" in frame {finding.frame}" if finding.frame is not None else ""
+                text += f", Frame {finding.frame}" if finding.frame is not None else ""
                 box.operator("chona.show_finding", text=text, icon="RESTRICT_SELECT_OFF").index = shown.active
         for strip in report.strips:
             far = bool(len(strip.level)) and bool(strip.level.max() > 0.0)
