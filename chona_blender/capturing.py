@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bpy
 
+from . import standin_mesh
 from .actions import settings_of, writable_folder
 from .bake_frames import SCENE
 from .capture import Cast, capture_sequence
@@ -20,11 +21,12 @@ from .jobs import Job
 
 
 def capture_meshes(armature: bpy.types.Object) -> list[bpy.types.Object]:
-    """Every mesh that the armature deforms or carries."""
+    """Every mesh that the armature deforms or carries; a stand-in is no character."""
     return [
         item
         for item in bpy.data.objects
         if item.type == "MESH"
+        and standin_mesh.KEY not in item
         and (item.parent == armature or any(_deforms(modifier, armature) for modifier in item.modifiers))
     ]
 

@@ -39,6 +39,13 @@ class StandInJob(jobs.Job):
         """What the worker writes."""
         return Path(self.place.name) / "stand-in.npz"
 
+    @property
+    def text(self) -> str:
+        """What is being done instead of a count: parts of a hundred say nothing."""
+        if self.status != jobs.RUNNING or self.worker.cancelled_at is not None or self.eta is None:
+            return super().text
+        return f"{self.words}, {jobs.duration(self.eta)} left"
+
     def poll(self) -> bool:
         """As every job's; what a job that failed has left goes at once."""
         ended = super().poll()

@@ -72,6 +72,7 @@ def test_nothing_is_left_behind_and_modes_stay(scene: dict) -> None:
     assert case["renewed"] == counts
     assert case["figure"] == counts | {"objects": 3, "armatures": 1}
     assert case["mode"] == ["POSE", True]
+    assert case["captured"] == 0  # a capture of the character leaves its stand-in out
     assert case["collections"] == [["CHONA Stand-Ins"]] * 2 and case["selectable"] == [True, True]
     assert not any(case["left"].values()) and not any(case["gone"].values()), case
 

@@ -16,6 +16,7 @@ from stand_in_bodies import JOINTS, body, crate, put_together, write_model, writ
 
 import chona_blender
 from chona_blender import standin
+from chona_blender.capturing import capture_meshes
 from chona_blender.errors import ChonaError
 from chona_blender.standin_file import read_stand_in
 
@@ -53,6 +54,7 @@ def made_and_removed() -> dict:
     actor.stand_in.follow = "FIGURE"
     meshes = put_together(scene, FILE)
     answer["figure"] = {kind: len(names) - len(before[kind]) for kind, names in held().items()}
+    answer["captured"] = len(capture_meshes(actor.armature))
     answer["mode"] = [bpy.context.mode, bpy.context.object == actor.armature]
     answer["collections"] = [[each.name for each in item.users_collection] for item in meshes]
     answer["selectable"] = [item.hide_select for item in meshes]
