@@ -184,9 +184,10 @@ class LivePreview:
         """Sample the scene and ask for a draft, if it shows something else than before."""
         plans = actions.actor_plans(scene)
         worker, self._served = _worker(plans)
-        if worker is not self._worker:  # the last picture is of another model, or of a pose that is gone
-            self._show(scene, None)
-        known = worker is self._worker and kept_models() == self._models
+        if worker is not self._worker:
+            self._show(scene, None)  # of another model, or of a pose that is gone
+        if worker is not self._worker or kept_models() != self._models:
+            self._shot = self._asked = None
         self._worker, self._models = worker, kept_models()
         if not worker.ready:
             if worker.alive:
@@ -196,7 +197,7 @@ class LivePreview:
             return
         shot = self._sample(scene, plans)
         changed, self._changed = self._changed, None
-        if known and self._shot is not None and self._asked is not None and _same(shot, self._shot):
+        if self._shot is not None and self._asked is not None and _same(shot, self._shot):
             return
         self._shot = shot
         image = image_format(scene)
