@@ -22,10 +22,13 @@ class Facts(NamedTuple):
     frames: tuple[int, int, int]
     size: tuple[float, ...]
     camera: tuple[object, ...]
+    blur: tuple[object, ...]
     device: str
 
 
-CHANGED = Facts("the model", "the actors", "the frame range", "the size of the picture", "the camera", "the device")
+CHANGED = Facts(
+    "the model", "the actors", "the frame range", "the size of the picture", "the camera", "the blur", "the device"
+)
 """Every fact in words."""
 
 
@@ -88,6 +91,7 @@ def facts_of(scene: bpy.types.Scene) -> Facts:
         (render.resolution_x, render.resolution_y, render.resolution_percentage,
          render.pixel_aspect_x, render.pixel_aspect_y),
         _camera(scene.camera),
+        _blur(scene),
         preferences.device(),
     )  # fmt: skip
 
@@ -98,6 +102,13 @@ def _objects(actor: Any) -> tuple[tuple[str, str], ...]:
 
 def _name(item: bpy.types.Object | None) -> str:
     return "" if item is None else item.name
+
+
+def _blur(scene: bpy.types.Scene) -> tuple[object, ...]:
+    own, camera = scene.chona.blur, scene.camera
+    motion = own.use_motion_blur and scene.render.use_motion_blur
+    focus = own.use_depth_of_field and camera is not None and camera.type == "CAMERA" and camera.data.dof.use_dof
+    return motion, focus, own.samples if motion or focus else 0
 
 
 def _camera(camera: bpy.types.Object | None) -> tuple[object, ...]:

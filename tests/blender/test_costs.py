@@ -81,13 +81,13 @@ def test_an_estimate_gets_stale_and_comes_back(answer: dict) -> None:
     words = {
         "end": "the frame range", "step": "the frame range", "own range": "the frame range",
         "size": "the size of the picture", "camera": "the camera", "lens": "the camera", "place": "the camera",
-        "object": "the actors", "model": "the model",
+        "object": "the actors", "model": "the model", "shutter": "the blur", "focus": "the blur",
     }  # fmt: skip
     for name, part in words.items():
         stale, note, afterwards = told[name]
         assert stale and note == f"Out of date: estimated before {part} changed", name
         assert not afterwards, name
-    for name in ("preset", "frame", "name"):
+    for name in ("preset", "frame", "name", "samples of sharp frames"):
         assert told[name][0] is False, name
 
 
