@@ -40,6 +40,13 @@ def stand_in(lines: str) -> str:
     return str(path)
 
 
+def living(group: int) -> list[str]:
+    """Processes of a group that have not ended; the dead of killed parents wait for their burial as zombies."""
+    listed = subprocess.run(["ps", "-eo", "pgid=,stat="], capture_output=True, text=True, check=True).stdout
+    pairs = [line.split() for line in listed.splitlines()]
+    return [state for number, state in pairs if number == str(group) and not state.startswith("Z")]
+
+
 def killed(stop: signal.Signals) -> dict:
     """A set-up is ended while pip installs; what counts as set up then."""
     job = setup.start(setup.Choice(wheels=str(good)))
@@ -50,9 +57,8 @@ def killed(stop: signal.Signals) -> dict:
     while not job.poll():
         time.sleep(0.02)
     seconds = time.monotonic() - begun
-    listed = subprocess.run(["ps", "-eo", "pgid=,stat="], capture_output=True, text=True, check=True).stdout
-    group = str(job.worker._process.pid)
-    alive = [line for line in listed.splitlines() if line.split()[0] == group and not line.split()[1].startswith("Z")]
+    while (alive := living(job.worker._process.pid)) and time.monotonic() - begun < 20.0:
+        time.sleep(0.2)
     return {"alive": alive, "status": job.status, "seconds": seconds, "python": str(home.python())}
 
 
