@@ -57,8 +57,7 @@ def furnish(scene: bpy.types.Scene, model: Path) -> None:
     bpy.ops.chona.create_rig()
     bpy.ops.chona.actor_add()
     bpy.ops.chona.create_rig()
-    for name, value in (("frame_range", "CUSTOM"),):
-        setattr(scene.chona, name, value)
+    scene.chona.frame_range = scene.chona.capture_range = "CUSTOM"
 
 
 def write_header(path: Path) -> None:

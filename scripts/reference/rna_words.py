@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from math import degrees
 from typing import Any
 
 import bpy
@@ -90,6 +91,8 @@ def anchor(operator: str) -> str:
 
 def _number(prop: bpy.types.Property, value: float) -> str:
     digits = prop.precision if prop.type == "FLOAT" else 0
+    if prop.unit == "ROTATION":
+        value = degrees(value)
     text = f"{value:.{max(digits, 0)}f}"
     text = text.rstrip("0").rstrip(".") if "." in text else text
-    return text + UNITS.get(prop.subtype, UNITS.get(prop.unit, ""))
+    return text + UNITS.get(prop.subtype if prop.unit == "NONE" else prop.unit, "")
