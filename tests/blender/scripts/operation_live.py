@@ -135,6 +135,13 @@ def newest_wins() -> None:
     answer["alive after a refusal"] = worker.alive
 
 
+def settled(actors: int) -> bool:
+    """Whether so many are in the final picture, and nothing is under way."""
+    asked, shot = preview._asked, preview._shot
+    done = asked is not None and asked.number == preview._shown and preset() == "final"
+    return done and shot is not None and len(shot.header["actors"]) == actors
+
+
 def another_model() -> None:
     """An actor of another file stands beside the first; switched off, it is gone."""
     settings, other = bpy.context.scene.chona, model.with_name("other.safetensors")
@@ -145,7 +152,7 @@ def another_model() -> None:
     bpy.ops.chona.create_rig()
     settings.armature.location.x = 0.6
     settle()
-    until(lambda: preview._changed is None and preset() == "final" and len(preview._shot.header["actors"]) == 2)
+    until(lambda: settled(2))
     both = picture()[..., 3]
     middle = both.shape[1] * 5 // 8
     answer["two models"] = [
@@ -153,14 +160,14 @@ def another_model() -> None:
         float(alone[:, middle:].max()), float(both[:, middle:].max()), preview._worker is first,
     ]  # fmt: skip
     settings.actors[0].use = False
-    until(lambda: len(preview._shot.header["actors"]) == 1 and preset() == "final")
-    answer["first switched off"] = float(picture()[:, :middle, 3].max())
+    until(lambda: settled(1))
+    answer["first switched off"] = preview._served.name
     settings.actors[0].use = True
     bpy.data.objects.remove(settings.armature)
     settings.actors.remove(1)
     settings.active_actor = 0
     settle()
-    until(lambda: len(preview._shot.header["actors"]) == 1 and preset() == "final")
+    until(lambda: preview._served == model.absolute() and picture() is not None and preset() == "final")
 
 
 def stands_still() -> None:
@@ -196,15 +203,14 @@ def worker_dies() -> None:
 
 
 def model_changes() -> None:
-    """Another model file of the same name: another worker, and the old one is gone."""
+    """Another model file of the same name, while the pose stays: another worker, and the old one is gone."""
     old = preview._worker
     copy = model.with_name("copy.safetensors")
     shutil.copy(model, copy)
     os.utime(copy, ns=(1, 1))
     copy.replace(model)
-    bpy.context.scene.chona.armature.location.x = 0.0
-    settle()
-    until(lambda: preview._worker is not old and preset() == "draft")
+    until(lambda: preview._worker is not old)
+    until(lambda: picture() is not None)
     answer["model changed"] = [preview._worker is not old, old.alive, processes()]
 
 
