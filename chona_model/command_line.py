@@ -12,7 +12,7 @@ from chona_model.progress import MODES, Progress
 from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
 from chona_model.study_line import add_reproduce
 
-METHODS = ("chona", "no-cil", "object-translation", "tava")
+METHODS = ("chona", "no-cil", "object-translation", "tava", "arah", "arah-object")
 """Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"

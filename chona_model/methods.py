@@ -6,7 +6,14 @@ chona               the pseudo bone moves the object, and compositional invarian
 no-cil              the same without compositional invariant learning
 object-translation  the paper's baseline: the object's place is known and its rotation is not
 tava                no pseudo bone: what is held is a part of the person, moved by the body's bones alone
+arah                as tava, and the density comes from a signed distance that begins as the body's
+arah-object         as arah, with the pseudo bone (the paper's ARAH*)
 ==================  ============================================================================================
+
+What differs from ARAH itself: its prior is a network that was trained on many dressed scans, here it is the distance to
+the capture's body model (to capsules around the bones where there is none, to an ellipsoid for objects); its surface is
+found by joint root finding and rendered around it, here the density of the distance is integrated along the whole ray,
+through the same correspondences as all other methods'.
 """
 
 from __future__ import annotations
@@ -30,11 +37,13 @@ class Method:
         name: on the command line and in model files.
         objects: ``rigid``: pseudo bones; ``placed``: they move and never turn; ``none``: there are none.
         invariant_codes: whether training draws the other part's code at random (CIL).
+        distances: whether the density comes from a signed distance, with the eikonal loss and the body as its start.
     """
 
     name: str
     objects: Literal["rigid", "placed", "none"] = "rigid"
     invariant_codes: bool = True
+    distances: bool = False
 
     @property
     def reach(self) -> float:
@@ -62,6 +71,8 @@ METHODS = {
         Method("no-cil", invariant_codes=False),
         Method("object-translation", objects="placed"),
         Method("tava", objects="none", invariant_codes=False),
+        Method("arah", objects="none", invariant_codes=False, distances=True),
+        Method("arah-object", invariant_codes=False, distances=True),
     )
 }
 

@@ -139,11 +139,15 @@ class GridField(nn.Module):
     def density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
         """Density alone [M], 1/m, without gradients: for occupancy."""
         with torch.no_grad():
-            local = (points - self.lower[part.long()]).clamp(min=0.0)
-            encoded = encode(local, part, self.table, self.layout)
-            hidden = self.density_in(encoded) + self._gather(self.density_code(self.codes(pairs)), pair)
-            raw = relu(hidden) @ self.density_out.weight[0] + self.density_out.bias[0]
-            return self.shape.density_scale * softplus(raw - 1.0)
+            return self.shape.density_scale * softplus(self.raw_density(points, part, pairs, pair) - 1.0)
+
+    def raw_density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
+        """What the density is a softplus of: [M], differentiable in the parameters."""
+        local = (points - self.lower[part.long()]).clamp(min=0.0)
+        gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
+        encoded = encode(local, part, self.table, self.layout, gradient)
+        hidden = self.density_in(encoded) + self._gather(self.density_code(self.codes(pairs)), pair)
+        return relu(hidden) @ self.density_out.weight[0] + self.density_out.bias[0]
 
     @staticmethod
     def _gather(rows: Tensor, index: Tensor) -> Tensor:

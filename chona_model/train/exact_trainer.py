@@ -92,6 +92,8 @@ class ExactTrainer:
         self, dataset: Dataset, settings: PaperSettings, seed: int, device: str = "cpu", image_scale: float = 1.0,
         method: Method = METHODS["chona"], shape: ExactShape | None = None,
     ) -> None:  # fmt: skip
+        if method.distances:
+            raise TrainingError(f"the method {method.name} is trained with preset fast; choose it with --preset fast")
         dataset = method.dataset(dataset)
         check_dataset(dataset)
         groups = group_by_pose(dataset, image_scale)

@@ -22,6 +22,7 @@ from chona_model.methods import METHODS, Method
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.posed import PosedPart
 from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
+from chona_model.train.distance import DistanceField
 from chona_model.train.errors import TrainingError, decibels, density_not_finite, likely_causes, loss_not_finite
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_optimiser import GridOptimiser
@@ -85,6 +86,9 @@ class GridTrainer:
         self._rebuild()
         if len(self.usable) == 0:
             raise DatasetError("no view shows the figure; check cameras and poses with 'chona check-data'")
+        self.distances = DistanceField(self.model, self._usual_pair, seed) if method.distances else None
+        if self.distances is not None:
+            self.distances.begin(GridOptimiser(self.model, settings, self.fused))
         self.optimiser = GridOptimiser(self.model, settings, self.fused)
         self.bones = [
             bone_nodes(self.model.grid(index), dataset.skeleton, person.rest_joints)
@@ -151,6 +155,8 @@ class GridTrainer:
         loss = image_loss + settings.part_loss * _wrong_part(out, torch.as_tensor(part, device=out.device)).mean()
         if skinning:
             loss = loss + self._regularisers(figures)
+        if self.distances is not None:
+            loss = loss + self.distances.eikonal(index)
         if not torch.isfinite(loss):
             raise TrainingError(loss_not_finite(index, float(loss.detach()), self.rates))
         self.optimiser.clear()
@@ -244,8 +250,7 @@ class GridTrainer:
         cells = np.flatnonzero(occupancy.support[own])
         points = occupancy.centres(part, cells)
         points += (random.random(points.shape, dtype=np.float32) - np.float32(0.5)) * np.float32(occupancy.cell)
-        pair = torch.tensor([[part, -1] if part < len(self.model.persons) else [-1, part - len(self.model.persons)]])
-        pair = self._usual_pair(part, pair).to(self.model.device)
+        pair = self._usual_pair(part).to(self.model.device)
         density = self.model.field.density(
             self.model.real(points), torch.full((len(points),), part, dtype=torch.int32, device=pair.device), pair,
             torch.zeros(len(points), dtype=torch.int64, device=pair.device),
@@ -256,13 +261,14 @@ class GridTrainer:
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
         occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)
 
-    def _usual_pair(self, part: int, pair: Tensor) -> Tensor:
-        """A pair that training has seen with this part, since codes of absent identities may never be trained."""
+    def _usual_pair(self, part: int) -> Tensor:
+        """A pair [1, 2] that training has seen with this part: codes of absent identities may never be trained."""
         for figure in self.posed:
             thing = figure.objects[0] if figure.objects else -1
             if figure.person == part or (thing >= 0 and len(self.model.persons) + thing == part):
                 return torch.tensor([[figure.person, thing]])
-        return pair
+        persons = len(self.model.persons)
+        return torch.tensor([[part, -1] if part < persons else [-1, part - persons]])
 
     def actor(self) -> GridActor:
         """The model as it is now."""

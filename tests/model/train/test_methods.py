@@ -110,7 +110,7 @@ def test_objects_alone_are_nothing_to_a_method_without_them(tmp_path: Path) -> N
 
 def test_the_paths_agree_on_what_a_method_is(capture: Dataset) -> None:
     small = replace(PaperSettings(), initial_steps=1, rays=16)
-    for method in METHODS.values():
+    for method in (each for each in METHODS.values() if not each.distances):
         exact = ExactTrainer(capture, small, 0, method=method)
         fast = tiny_trainer(capture, method=method)
         assert exact.actor().model.shape.turns_objects == fast.model.shape.turns_objects == (method.objects != "placed")
@@ -118,7 +118,7 @@ def test_the_paths_agree_on_what_a_method_is(capture: Dataset) -> None:
         assert list(exact.actor().objects) == [thing.name for thing in fast.model.objects]
 
 
-@pytest.mark.parametrize("name", ["tava", "object-translation", "no-cil"])
+@pytest.mark.parametrize("name", ["tava", "object-translation", "arah-object"])
 def test_methods_are_trained_and_evaluated_by_their_name(capture: Dataset, tmp_path: Path, name: str) -> None:
     model = train(capture, tmp_path / "run", TrainRun(method=name, steps=3), Progress())
     report = evaluate(model, capture, "draft", 0.5, None, tmp_path / "report.json", Progress())
