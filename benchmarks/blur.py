@@ -16,7 +16,7 @@ from chona_model.grid_actor import GridActor
 from chona_model.settings import RENDER_PRESETS
 from chona_model.skeleton import translation
 
-SAMPLES, MANY, MOMENTS_PER_SAMPLE = (4, 8, 16, 32, 64), 128, 2
+SAMPLES, MANY, MOMENTS_PER_SAMPLE = (4, 8, 16, 32), 64, 2
 STREAK, SPOT = 0.05, 0.02
 """How far the figure moves, and the radius that a point far behind it would have, in picture widths."""
 
