@@ -21,7 +21,18 @@ from chona_model.standin.exact_part import ExactPart
 from chona_model.standin.file import PartMesh, StandIn, write_stand_in
 from chona_model.standin.grid_part import GridPart
 from chona_model.standin.part import Part
-from chona_model.standin.surface import OPACITY, clean, lattice_size, light_in, limited, measure, snap, snap_depths
+from chona_model.standin.surface import (
+    EDGE,
+    OPACITY,
+    clean,
+    fair,
+    lattice_size,
+    light_in,
+    limited,
+    measure,
+    snap,
+    snap_depths,
+)
 
 PERCENT = 100
 MEASURED = 0.6
@@ -45,12 +56,14 @@ class StandInSettings:
     Attributes:
         voxel: metres between the nodes at which the field is asked.
         faces: triangles of each part at most; None for as many as the voxels give.
+        edge: light that is left on the surface, along its normal; near 1 where outlines of soft fields count.
         smallest: floaters, pieces whose box has a shorter diagonal, are dropped; metres.
     """
 
     voxel: float = 0.01
     faces: int | None = None
     smallest: float = 0.06
+    edge: float = EDGE
 
 
 @dataclass(frozen=True)
@@ -160,7 +173,7 @@ def _mesh(
         done[0] += count / wanted
         tell(MEASURED + (1.0 - MEASURED) * done[0], "colours")
 
-    surface = snap(part, surface, settings.voxel, coloured)
+    surface = fair(snap(part, surface, settings.voxel, coloured, settings.edge))
     rgb = colours(part, surface.vertices, surface.normals, used.voxel, coloured)
     bones, weights = strongest(part.weights(surface.vertices)) if part.kind == "person" else (None, None)
     mesh = PartMesh(

@@ -171,16 +171,20 @@ def limited(light: Lattice, faces: int | None) -> tuple[Lattice, Surface | None]
     return used, surface
 
 
-SNAP, AHEAD, SNAP_STEP = 1.0, 3.0, 0.25
-"""How far vertices may be moved to the surface, from how far outside light is followed there, and between samples on
+EDGE = 0.95
+"""Light along a surface's normal where an outline has it: a ray that glances off a limb goes some fourteen times as far
+through its outermost millimetres as one that comes straight, and is half stopped there.  Hard walls do not care."""
+
+SNAP, OUT, AHEAD, SNAP_STEP = 1.0, 2.0, 3.0, 0.25
+"""How far vertices may be moved inwards and outwards, from how far outside light is followed, and between samples on
 the way; in voxels."""
 
 AVERAGED = 4
 """How often shifts are averaged over the vertices around each."""
 
 
-def snap(part: Part, surface: Surface, voxel: float, step: Step) -> Surface:
-    """Moves vertices along their normals to where the field itself, between the nodes, has stopped as much light.
+def snap(part: Part, surface: Surface, voxel: float, step: Step, edge: float = EDGE) -> Surface:
+    """Moves vertices along their normals to where the field itself, between the nodes, leaves ``edge`` of the light.
 
     A lattice knows the place of a hard wall to a third of a voxel.  Neighbours move alike: a field's own grain is no
     relief.
@@ -193,9 +197,9 @@ def snap(part: Part, surface: Surface, voxel: float, step: Step) -> Surface:
         points = surface.vertices[rows, None] - depths[:, None] * surface.normals[rows, None]
         flat = points.reshape(-1, 3)
         density = np.where(part.holds(flat), part.density(flat, SNAP_STEP * voxel), 0.0).reshape(-1, len(depths))
-        found = _depth_of_level(density, depths)
+        found = _depth_of_edge(density, depths, edge)
         # What stops light earlier is something else in front: there the lattice knows better.
-        shifts[rows] = np.where(found < -SNAP * voxel, 0.0, found)
+        shifts[rows] = np.where(found < -OUT * voxel, 0.0, found)
         step(density.size)
     for _ in range(AVERAGED):
         shifts = _around(shifts, surface.faces)
@@ -203,22 +207,38 @@ def snap(part: Part, surface: Surface, voxel: float, step: Step) -> Surface:
     return Surface(moved, surface.faces, vertex_normals(moved, surface.faces))
 
 
+FAIRING = (0.6, -0.63)
+"""Taubin's two steps: a mean over vertices around takes the grain away, a longer step back keeps the volume."""
+
+FAIRED = 8
+"""How often both are taken: bumps of three voxels keep a quarter of their height, of eight nine tenths, limbs all."""
+
+
+def fair(surface: Surface) -> Surface:
+    """A field's grain smoothed away (Taubin, A signal processing approach to fair surface design, 1995)."""
+    vertices = surface.vertices
+    for share in FAIRING * FAIRED:
+        mean = np.stack([_around(vertices[:, axis], surface.faces) for axis in range(3)], axis=-1)
+        vertices = vertices + share * (mean - vertices)
+    return Surface(vertices, surface.faces, vertex_normals(vertices, surface.faces))
+
+
 def snap_depths() -> np.ndarray:
     """Where ``snap`` asks the field, in voxels below the surface."""
     return np.arange(-AHEAD, SNAP + SNAP_STEP / 2, SNAP_STEP)
 
 
-def _depth_of_level(density: np.ndarray, depths: np.ndarray) -> np.ndarray:
-    """[V] where rays that meet ``density`` [V, S] at ``depths`` [S] keep ``LEVEL`` of their light; the last depth where
+def _depth_of_edge(density: np.ndarray, depths: np.ndarray, edge: float) -> np.ndarray:
+    """[V] where rays that meet ``density`` [V, S] at ``depths`` [S] keep ``edge`` of their light; the last depth where
     they keep more."""
-    lengths = np.diff(depths)
-    stopped = np.cumsum(0.5 * (density[:, 1:] + density[:, :-1]) * lengths, axis=1)
-    before = np.concatenate([np.zeros((len(density), 1)), stopped[:, :-1]], axis=1)
-    wanted = -np.log(LEVEL)
+    step = depths[1] - depths[0]
+    # Every sample stands for half a step before and behind it: a hard wall between two is found in their middle.
+    stopped = np.cumsum(density, axis=1) * step
+    wanted = -np.log(edge)
     index = np.argmax(stopped >= wanted, axis=1)
     row = np.arange(len(density))
-    gain = np.maximum(stopped[row, index] - before[row, index], np.finfo(np.float64).tiny)
-    found = depths[index] + lengths[index] * (wanted - before[row, index]) / gain
+    gain = np.maximum(density[row, index] * step, np.finfo(np.float64).tiny)
+    found = depths[index] + step * (0.5 - (stopped[row, index] - wanted) / gain)
     return np.where(stopped[:, -1] >= wanted, found, depths[-1])
 
 

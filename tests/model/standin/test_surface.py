@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from closed_forms import FormPart, ball, edges_are_shared, pieces, shade, union, volume
 
 from chona_model.standin.attributes import BONES, FAINT, colours, strongest
-from chona_model.standin.surface import LEVEL, clean, extract, light_in, limited, measure, snap
+from chona_model.standin.surface import EDGE, clean, extract, fair, light_in, limited, measure, snap
 
 VOXEL = 0.02
 
@@ -24,11 +26,12 @@ def lattice(part: FormPart, smallest: float = 0.06, voxel: float = VOXEL):
 @pytest.mark.parametrize("inside", [30.0, 400.0])
 @pytest.mark.parametrize("voxel", [0.015, 0.02])
 def test_a_balls_surface_lies_where_light_has_come_so_far(inside: float, voxel: float, sharp: bool) -> None:
-    """Along the radius light falls as exp(−density · depth): the surface is ln(1 / LEVEL) / density deep."""
+    """Along the radius light falls as exp(−density · depth): the surface is ln(1 / EDGE) / density deep."""
     part = FormPart(ball(0.3), inside, sharp)
     surface = snap(part, extract(lattice(part, voxel=voxel)[0]), voxel, nothing)
-    away = np.linalg.norm(surface.vertices, axis=1) - (0.3 - np.log(1.0 / LEVEL) / inside)
-    assert abs(away.mean()) < 0.1 * voxel
+    away = np.linalg.norm(surface.vertices, axis=1) - (0.3 - np.log(1.0 / EDGE) / inside)
+    # Averages over cubes, a quarter of a voxel wide, begin half of that before a wall.
+    assert abs(away.mean() - (0.0 if sharp else voxel / 16.0)) < 0.1 * voxel
     assert np.abs(away).max() < voxel / 3.0  # rays are sampled a quarter of a voxel apart, and neighbours averaged
     assert edges_are_shared(surface.faces)
 
@@ -93,6 +96,21 @@ def test_fewer_faces_are_still_closed_and_where_they_were() -> None:
     away = union(ball(0.3), ball(0.1, (0.0, 0.4, 0.0)))(coarse.vertices)
     assert np.abs(away).max() < 0.7 * used.voxel
     assert limited(light, None)[1].faces.shape == fine.faces.shape
+
+
+@pytest.mark.parametrize(("wavelength", "low", "high"), [(3, 0.0, 0.3), (12, 0.95, 1.0)])
+def test_grain_is_smoothed_and_limbs_stay(wavelength: float, low: float, high: float) -> None:
+    """Bumps of so many voxels on a ball, a fifth of a voxel high: the share of them that is left; the ball's size."""
+    part = FormPart(ball(0.3), 400.0)
+    rough = extract(lattice(part)[0])
+    normals = rough.vertices / np.linalg.norm(rough.vertices, axis=1, keepdims=True)
+    bumps = np.prod(np.sin(2.0 * np.pi * rough.vertices[:, :2] / (wavelength * VOXEL)), axis=1)
+    bumpy = replace(rough, vertices=normals * (0.3 + 0.2 * VOXEL * bumps)[:, None])
+    away = np.linalg.norm(fair(bumpy).vertices, axis=1) - 0.3
+    front = np.abs(normals[:, 2]) > 0.9
+    left = (away * bumps)[front].sum() / (0.2 * VOXEL * (bumps[front] ** 2).sum())
+    assert low < left < high
+    assert abs(away.mean()) < 0.01 * VOXEL
 
 
 def test_nothing_opaque_has_no_surface() -> None:
