@@ -17,6 +17,7 @@ METHODS = ("chona", "no-cil", "object-translation", "tava", "arah", "arah-object
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
+DEVICE_HELP = "what it computes on; auto takes CUDA where there is a card"
 _PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
 
 Command = Callable[[argparse.Namespace, Progress], int]
@@ -37,7 +38,7 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         command.add_argument("--debug", action="store_true", help="show where an error happened")
         if long:
             add_progress(command)
-            command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+            command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=DEVICE_HELP)
         return command
 
     def add_progress(command: argparse.ArgumentParser) -> None:
@@ -47,11 +48,11 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
     train.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for model, log and checkpoint")
     train.add_argument("--method", choices=METHODS, default="chona", help="default: chona")
-    train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast")
+    train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast", help="the paper's take hours")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
     length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="how many steps to train")
-    train.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N")
+    train.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N", help="of all random numbers")
     train.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
     train.add_argument(
         "--preview-every", type=number(0, above=True), metavar="S",
@@ -127,7 +128,7 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     served = add("serve", "stay up and render poses that come in on standard input (for the add-on's previews)")
     served.add_argument("--model", type=Path, required=True, metavar="FILE")
-    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=DEVICE_HELP)
 
     info = add("info", "show what a model file holds")
     info.add_argument("file", type=Path, metavar="FILE")
@@ -163,7 +164,7 @@ def _add_sources(command: argparse.ArgumentParser, several: str) -> None:
         "--object-size", action=SourceAction, type=number(0, above=True), metavar="M",
         help="metres of the longest side of scanned objects (co3d, transforms; default: 0.5)",
     )  # fmt: skip
-    command.add_argument("--image-scale", type=number(0, 1, above=True), default=1.0, metavar="S")
+    command.add_argument("--image-scale", type=number(0, 1, above=True), default=1.0, metavar="S", help="of the images")
     command.set_defaults(sources=None)
     _add_body_model(command)
 

@@ -54,7 +54,8 @@ def _words(action: argparse.Action) -> str:
 def _default(action: argparse.Action) -> str:
     if action.required:
         return "needed"
-    if action.default in (None, False, argparse.SUPPRESS) or "default:" in (action.help or ""):
+    nothing = action.default is None or action.default is False or action.default == argparse.SUPPRESS
+    if nothing or "default:" in (action.help or ""):
         return ""
     values = action.default if isinstance(action.default, list | tuple) else [action.default]
     return ", ".join(f"`{value}`" for value in values)
