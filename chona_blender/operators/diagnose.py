@@ -20,10 +20,10 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if jobs.running() is not None:
-            cls.poll_message_set("Wait until the running job has ended, or cancel it")
-            return False
-        return True
+        words = jobs.busy()
+        if words:
+            cls.poll_message_set(words)
+        return not words
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         diagnosis.worker_report = check_worker(preferences.worker_python(), device=preferences.device())

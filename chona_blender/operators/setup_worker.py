@@ -150,15 +150,22 @@ class CHONA_OT_open_network_preferences(bpy.types.Operator):
     bl_label = "Open Network Preferences"
     bl_options = {"INTERNAL"}
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.window is None:
+            cls.poll_message_set("Blender runs without a window")
+            return False
+        return True
+
     def execute(self, _context: bpy.types.Context) -> set[str]:
         return bpy.ops.screen.userpref_show(section="SYSTEM")
 
 
 def _idle(cls: type[bpy.types.Operator]) -> bool:
-    if jobs.running() is not None:
-        cls.poll_message_set("Wait until the running job has ended, or cancel it")
-        return False
-    return True
+    words = jobs.busy()
+    if words:
+        cls.poll_message_set(words)
+    return not words
 
 
 CLASSES = (CHONA_OT_set_up_worker, CHONA_OT_remove_worker, CHONA_OT_open_network_preferences)
