@@ -234,8 +234,9 @@ class LivePreview:
         if asked.stage > 0 and self._changed is not None and now - self._changed > self._pace.patience:
             return
         self._show(scene, Picture(frame.rgba, asked.image))
-        milliseconds = 1000.0 * (now - asked.changed)
-        self._tell(scene, f"{frame.preset}   {width} × {height}   {milliseconds:.0f} ms")
+        seconds = now - asked.changed
+        took = f"{1000.0 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
+        self._tell(scene, f"{frame.preset}   {width} × {height}   {took}")
 
     def _show(self, scene: bpy.types.Scene, picture: Picture | None) -> None:
         if picture is not None or not self.canvas.is_empty:
