@@ -16,8 +16,18 @@ PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
 CAPTURE_OPTIONS = tuple(
     f"capture_{name}"
     for name in (
-        "person", "sequence", "folder", "cameras", "rings", "radius", "ring_height", "ring_spacing", "lens", "width",
-        "height", "samples",
+        "person",
+        "sequence",
+        "folder",
+        "cameras",
+        "rings",
+        "radius",
+        "ring_height",
+        "ring_spacing",
+        "lens",
+        "width",
+        "height",
+        "samples",
     )
 )
 

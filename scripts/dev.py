@@ -15,6 +15,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ENV, BLENDER_ENV = ROOT / ".venv", ROOT / ".venv-blender"
+MOST_TESTERS = 4
+"""Processes of tests at once: each may take two gigabytes."""
 READY = ".ready"
 """Stamp inside an environment: newer than the files it was made from."""
 
@@ -74,7 +76,10 @@ def test(words: list[str]) -> None:
     blender_environment()
     lint()
     bpy = os.environ.get("CHONA_BPY", str(program(BLENDER_ENV, "python")))
-    run(program(ENV, "python"), "-m", "pytest", "-m", "not slow and not blender and not gpu", *words, CHONA_BPY=bpy)
+    # Files go side by side, each whole: what a module's fixtures make is made once.
+    beside = ["-n", str(min(os.cpu_count() or 1, MOST_TESTERS)), "--dist", "loadfile"]
+    quick = ["-m", "not slow and not blender and not gpu"]
+    run(program(ENV, "python"), "-m", "pytest", *quick, *beside, *words, CHONA_BPY=bpy)
 
 
 def demo(words: list[str]) -> None:
