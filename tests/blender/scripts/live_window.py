@@ -405,7 +405,7 @@ def leaks() -> Iterator[float]:
     held = []
     for turn in range(100):
         shown = preview._shown
-        bone().rotation_euler.y = 0.01 * turn
+        bone().rotation_euler.y = 0.01 * (turn + 1)
         yield from until(lambda shown=shown: preview._shown > shown, PATIENCE, every=0.01)
         if turn == 20:
             held.append(memory())
