@@ -334,8 +334,9 @@ def wrong_states() -> Iterator[float]:
     in_view(bpy.ops.object.mode_set, mode="OBJECT")
     yield from at_rest()
     before = preview.canvas._picture.rgba
-    item = scene().chona.actor.objects[0]
+    item, shown = scene().chona.actor.objects[0], preview._shown
     item.use = False
+    yield from until(lambda: preview._shown > shown, PATIENCE)
     yield from at_rest()
     told["object switched off"] = float(np.abs(before - preview.canvas._picture.rgba).max())
     item.use = True
