@@ -81,7 +81,7 @@ def _scores(model: GridModel, views: list[View], field: PlainGrids | None = None
         count = len(rows)
         rays = RayRows(
             *(torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32) for array in arrays),
-            torch.zeros(count, dtype=torch.int32), torch.zeros(count, max(len(posed.objects), 1), dtype=torch.int64),
+            torch.zeros(count, dtype=torch.int32), torch.zeros(count, 1 + len(posed.objects), dtype=torch.int64),
         )  # fmt: skip
         pairs = torch.tensor([[posed.person, posed.objects[0] if posed.objects else -1]])
         lights, own = model.root_light([posed]), model.field

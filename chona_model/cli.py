@@ -25,6 +25,7 @@ COMMANDS = {
     "trade": commands.trade_command,
     "estimate": commands.estimate_command,
     "reproduce": study_commands.reproduce_command,
+    "add": study_commands.add_command,
     "stand-in": commands.stand_in_command,
     "serve": commands.serve_command,
     "info": commands.info_command,

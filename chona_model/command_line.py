@@ -10,9 +10,9 @@ from chona_model.arguments import Parser, SourceAction, frame_list, name_list, n
 from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
 from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
-from chona_model.study_line import add_reproduce
+from chona_model.study_line import add_add, add_reproduce
 
-METHODS = ("chona", "no-cil", "object-translation", "tava", "arah", "arah-object")
+METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-translation", "tava", "arah", "arah-object")
 """Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
@@ -58,6 +58,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         "--preview-every", type=number(0, above=True), metavar="S",
         help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
     )  # fmt: skip
+
+    addition = add("add", "add a person or an object, seen alone, to a model that stays as it is", long=True)
+    _add_sources(addition, "repeat it to add from several")
+    add_add(addition)
 
     evaluate = add("evaluate", "measure a model on views it has not seen", long=True)
     evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")

@@ -21,7 +21,7 @@ from chona_model.grid_device import DevicePose, make_device_pose, render_on_devi
 from chona_model.grid_inputs import Surfaces, surfaces_for
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view, sample_view
-from chona_model.kernels.grid import fast, make_layout
+from chona_model.kernels.grid import fast, layout_of, make_layout
 from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.render.occupancy import Occupancy, PartCells, make_coarser, whole_support, without_thin
 from chona_model.render.posed import depth_spans, window_of
@@ -49,7 +49,6 @@ class GridActor:
         self.persons: Mapping[str, Person] = {person.name: person for person in model.persons}
         self.objects: Mapping[str, ObjectShape] = {thing.name: thing for thing in model.objects}
         self.object_distance = model.object_distance
-        self.extent: np.ndarray = (model.boxes[1] - model.boxes[0]).max(axis=0)
         self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
         self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
         self._double: GridActor | None = None
@@ -149,7 +148,7 @@ class GridActor:
             if name not in {"table", "lower", "person_codes", "object_codes"}:
                 result[f"field.{name}"] = value
         for part, identity in enumerate(self._identities()):
-            result[f"{identity}.table"] = model.field.table[part].detach()
+            result[f"{identity}.table"] = model.field.table[model.field.table_of[part]].detach().clone()
             result[f"{identity}.density"] = torch.from_numpy(model.occupancy.part(part)).clone()
             support = model.occupancy.support[model.occupancy.first[part] : model.occupancy.first[part + 1]]
             result[f"{identity}.support"] = torch.from_numpy(support).clone()
@@ -174,7 +173,7 @@ class GridActor:
         model = self.model
         return {
             "sizes": asdict(model.shape),
-            "extent": self.extent.tolist(),
+            "tables": {"dims": model.field.layout.dims.tolist(), "lower": model.field.lower.tolist()},
             "parts": [
                 {"lower": lower.tolist(), "upper": upper.tolist()} for lower, upper in zip(*model.boxes, strict=True)
             ],
@@ -196,7 +195,7 @@ class GridActor:
             persons, objects: the chosen ones; rows: their places among all that the file holds.
         """
         sizes = GridModelShape(**{**shape["sizes"], "field": GridShape(**shape["sizes"]["field"])})
-        if not objects:
+        if not objects and len(shape["parts"]) > rows.of_persons:
             sizes = replace(sizes, object_slots=0)
         grids = [
             NodeGrid(
@@ -209,21 +208,31 @@ class GridActor:
         chosen = [*rows.persons, *(rows.of_persons + row for row in rows.objects)]
         model = GridModel(skeleton, persons, objects, object_distance, sizes, grids, (lower[chosen], upper[chosen]))
         actor = cls(model)
-        # Every part's table is laid out over the largest box of all that were trained together.
-        actor.extent = np.array(shape.get("extent", (upper - lower).max(axis=0)))
-        model.field.layout = make_layout(
-            actor.extent, sizes.field.coarsest, sizes.field.finest, sizes.field.levels, 1 << sizes.field.rows
-        )
+        actor._lay_out(shape, (upper - lower).max(axis=0), rows)
         actor._take(tensors, rows)
         model.to(device)
         return actor
+
+    def _lay_out(self, shape: dict[str, Any], largest: np.ndarray, rows: IdentityRows) -> None:
+        """Every part's table is laid out over the ``largest`` box of all that were trained together, not of those
+        that were chosen."""
+        field, sizes = self.model.field, self.model.field.shape
+        if "tables" not in shape:  # as earlier versions wrote it
+            extent = np.array(shape.get("extent", largest))
+            field.layout = make_layout(extent, sizes.coarsest, sizes.finest, sizes.levels, 1 << sizes.rows)
+            return
+        field.layout = layout_of(np.array(shape["tables"]["dims"]), sizes.coarsest, sizes.finest, 1 << sizes.rows)
+        if sizes.joint:
+            lower = torch.tensor(shape["tables"]["lower"])
+            kinds = [row for row, chosen in enumerate((rows.persons, rows.objects)) if chosen or len(lower) == 1]
+            field.lower.copy_(lower[kinds[: len(field.lower)]])
 
     @torch.no_grad()
     def _take(self, tensors: TensorReader, rows: IdentityRows) -> None:
         """Fills the model with the tensors of its identities."""
         model, field, occupancy = self.model, self.model.field, self.model.occupancy
         for part, identity in enumerate(self._identities()):
-            field.table[part] = tensors[f"{identity}.table"]
+            field.table[field.table_of[part]] = tensors[f"{identity}.table"]
             begin, end = occupancy.first[part], occupancy.first[part + 1]
             occupancy.densities[begin:end] = tensors[f"{identity}.density"].numpy()
             occupancy.support[begin:end] = tensors[f"{identity}.support"].numpy()

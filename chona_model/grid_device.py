@@ -63,7 +63,7 @@ def make_device_pose(
     matrices, index = model.matrices([posed], settings.offset)
     part = model.pose_cells(posed, cells, matrices.float().cpu().numpy(), settings.starts)
     table = make_pose_table(model, [posed], occupancy, surfaces.normals, [part])
-    pairs = torch.tensor([[posed.person, thing] for thing in posed.objects or (-1,)], device=model.device)
+    pairs = model.pairs(posed).to(model.device)
     codes = model.real(posed.code[None]) if settings.shading else None
     return DevicePose(posed, part, table, matrices, index, pairs, codes, model.root_light([posed]))
 

@@ -90,7 +90,7 @@ def tables_of(model: GridModel) -> fused.Tables:
     """The field's grids."""
     field = model.field
     layout, scale = field.layout.arguments(), np.float32(field.shape.density_scale)
-    return fused.Tables(field.table.detach().numpy(), field.lower.numpy(), *layout, scale)
+    return fused.Tables(field.table_of.numpy(), field.table.detach().numpy(), field.lower.numpy(), *layout, scale)
 
 
 def limits_of(step: float, stop: float, steps: int, tolerance: float, longest: float, accept: float) -> fused.Limits:

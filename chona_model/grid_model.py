@@ -72,7 +72,8 @@ class GridModel(nn.Module):
         skeleton: of all persons; persons, objects: identities by name, in the order of their indices.
         object_distance: canonical distance of objects, metres.
         shape: sizes.
-        grids, boxes: skinning nodes of the persons and boxes of the parts, where they come from a file.
+        grids: skinning nodes of the persons where they come from a file, None for those to be made.
+        boxes: of the parts, where they come from a file.
     """
 
     def __init__(
@@ -82,13 +83,13 @@ class GridModel(nn.Module):
         objects: Mapping[str, ObjectShape],
         object_distance: float,
         shape: GridModelShape,
-        grids: Sequence[NodeGrid] | None = None,
+        grids: Sequence[NodeGrid | None] | None = None,
         boxes: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         super().__init__()
         self.skeleton, self.shape, self.object_distance = skeleton, shape, object_distance
         self.persons, self.objects = tuple(persons.values()), tuple(objects.values())
-        self.boxes = boxes if boxes is not None else self._boxes()
+        self.boxes = boxes or part_boxes(skeleton, self.persons, self.objects, shape.reach)
         lower, upper = self.boxes
         slots = shape.object_slots
         self.code_size = pose_code_size(len(skeleton), slots)
@@ -97,38 +98,16 @@ class GridModel(nn.Module):
         volumes = []
         for index, person in enumerate(self.persons):
             tails = skeleton.bone_tails(person.rest_joints)
-            grid = (
-                grids[index]
-                if grids is not None
-                else make_node_grid(
-                    lower[index],
-                    upper[index],
-                    shape.node_cell,
-                    person.rest_joints,
-                    tails,
-                    shape.node_reach,
-                    person.surface,
-                )
-            )
+            given = None if grids is None else grids[index]
+            grid = given or make_node_grid(
+                lower[index], upper[index], shape.node_cell, person.rest_joints, tails, shape.node_reach,
+                person.surface,
+            )  # fmt: skip
             volume = SkinningVolume(grid, len(skeleton), self.code_size, shape.offset_rank)
-            if grids is None:
+            if given is None:
                 volume.initialise(initial_weights(grid.points, person.rest_joints, tails, person.surface))
             volumes.append(volume)
         self.volumes = nn.ModuleList(volumes)
-
-    def _boxes(self) -> tuple[np.ndarray, np.ndarray]:
-        lower, upper = [], []
-        for person in self.persons:
-            points = [person.rest_joints, self.skeleton.bone_tails(person.rest_joints)]
-            if person.surface is not None:
-                points.append(person.surface.vertices)
-            margin = (BODY_MARGIN if person.surface is None else SURFACE_MARGIN) + self.shape.reach
-            lower.append(np.concatenate(points).min(axis=0) - margin)
-            upper.append(np.concatenate(points).max(axis=0) + margin)
-        for thing in self.objects:
-            lower.append(np.asarray(thing.lower) - OBJECT_MARGIN)
-            upper.append(np.asarray(thing.upper) + OBJECT_MARGIN)
-        return np.array(lower), np.array(upper)
 
     def volume(self, person: int) -> SkinningVolume:
         """Skinning of a person."""
@@ -182,6 +161,18 @@ class GridModel(nn.Module):
         objects = tuple(self.object_index(name) for name in pose.objects)
         slots = slot_matrices(figure, len(self.skeleton), rig.canonical_objects(self.shape.object_slots))
         return PosedFigure(figure, person, objects, pose_codes([figure], rig)[0], slots)
+
+    def pairs(self, pose: PosedFigure) -> Tensor:
+        """[1 + N, 2] int64 identities (person, object; −1 for none) on whose codes the person is conditioned, and each
+        object."""
+        body = self.pair(pose.person, next(iter(pose.objects), -1), of_object=False)
+        return torch.tensor([body, *(self.pair(pose.person, thing, of_object=True) for thing in pose.objects)])
+
+    def pair(self, person: int, thing: int, *, of_object: bool) -> tuple[int, int]:
+        """Indices (−1 = none) of the person and the object on whose codes a part is conditioned."""
+        if not self.shape.field.own_codes:
+            return person, thing
+        return (-1, thing) if of_object else (person, -1)
 
     def matrices(self, poses: Sequence[PosedFigure], offset: bool = True) -> tuple[Tensor, VolumeIndex]:
         """Blended matrices of every pose, [rows, 16], and where each pose's rows are; differentiable."""
@@ -265,6 +256,28 @@ class GridModel(nn.Module):
             grid.origin.astype(np.float32), np.float32(1.0 / grid.cell), out,
         )  # fmt: skip
         return out
+
+
+def part_boxes(
+    skeleton: Skeleton, persons: Sequence[Person], objects: Sequence[ObjectShape], reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corners [I, 3] of the parts, persons first, each in its own frame, metres.
+
+    Args:
+        reach: metres beyond a person's own box for what it holds.
+    """
+    lower, upper = [], []
+    for person in persons:
+        points = [person.rest_joints, skeleton.bone_tails(person.rest_joints)]
+        if person.surface is not None:
+            points.append(person.surface.vertices)
+        margin = (BODY_MARGIN if person.surface is None else SURFACE_MARGIN) + reach
+        lower.append(np.concatenate(points).min(axis=0) - margin)
+        upper.append(np.concatenate(points).max(axis=0) + margin)
+    for thing in objects:
+        lower.append(np.asarray(thing.lower) - OBJECT_MARGIN)
+        upper.append(np.asarray(thing.upper) + OBJECT_MARGIN)
+    return np.array(lower).reshape(-1, 3), np.array(upper).reshape(-1, 3)
 
 
 def _index(kind: str, name: str, names: list[str]) -> int:

@@ -149,7 +149,7 @@ class _Trace(torch.autograd.Function):
             if skins[piece.pose]:
                 piece.grad_points = np.empty((count, 3), np.float32)
                 encode.encode_backward_points(
-                    0, count, found.point, found.part, work.tables.lower, work.tables.table, grad_x,
+                    0, count, found.point, work.tables.of[found.part], work.tables.lower, work.tables.table, grad_x,
                     *work.model.field.layout.arguments(), piece.grad_points,
                 )  # fmt: skip
 
@@ -160,7 +160,7 @@ class _Trace(torch.autograd.Function):
         def scatter(level: int) -> None:
             for piece, grad_x in zip(work.pieces, encoded, strict=True):
                 encode.encode_backward_table(
-                    level, piece.found.point, piece.found.part, work.tables.lower, grad_x,
+                    level, piece.found.point, work.tables.of[piece.found.part], work.tables.lower, grad_x,
                     *work.model.field.layout.arguments(), buffer, gradient.touched,
                 )  # fmt: skip
 

@@ -84,8 +84,7 @@ def make_ready(
     """
     with torch.inference_mode():
         matrices = model.rendering_matrices(posed, settings.offset).numpy()
-        things = posed.objects or (-1,)
-        codes = model.field.codes(torch.tensor([[posed.person, thing] for thing in things]))
+        codes = model.field.codes(model.pairs(posed))
         pose_code = torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None
         network = pack(model.field.weights(codes, pose_code))
         light = model.root_light([posed])[0].numpy()
@@ -137,7 +136,7 @@ def _aim(
     limits = limits_of(settings.step, settings.stop, settings.newton_steps, settings.tolerance, LONGEST, ACCEPT)
     return _Aim(
         places, near[where], far[where], lens.astype(np.float32), (origins[1:] - origins[0]).astype(np.float32),
-        settings.supersampling, np.arange(max(len(ready.parts.slot_part), 1)),
+        settings.supersampling, np.arange(1 + len(ready.parts.slot_part)),
         (ready.volume, ready.starts, ready.parts, tables_of(model), ready.network, limits),
     )  # fmt: skip
 
@@ -210,7 +209,7 @@ def _samples(ready: ReadyPose, found: advance.Candidates, settings: RenderSettin
         normal = np.empty((len(chosen), 3), np.float32)
         faces.face(chosen, found, ready.volume, ready.parts, normal)
     if passes.cryptomatte:
-        place = np.where(found.thing[chosen], found.pair[chosen] + (ready.figure.person >= 0), 0)
+        place = np.where(found.thing[chosen], found.pair[chosen] - (ready.figure.person < 0), 0)
         parts = (place[:, None] == np.arange(ready.parts_shown)).astype(np.float32)
     alpha = -np.expm1(-found.density[chosen] * np.float32(settings.step))
     return Samples(found.ray[chosen], found.depth[chosen], alpha, found.rgb[chosen], thing, normal, parts)

@@ -4,6 +4,9 @@ identity codes are exchanged.
 ==================  ============================================================================================
 chona               the pseudo bone moves the object, and compositional invariant learning separates the codes
 no-cil              the same without compositional invariant learning
+separate            as no-cil, with each part conditioned on its own code alone: the codes cannot depend on each other
+joint               as chona, with one table for all persons and one for all objects: the paper's joint field
+joint-no-cil        the same without compositional invariant learning
 object-translation  the paper's baseline: the object's place is known and its rotation is not
 tava                no pseudo bone: what is held is a part of the person, moved by the body's bones alone
 arah                as tava, and the density comes from a signed distance that begins as the body's
@@ -38,12 +41,16 @@ class Method:
         objects: ``rigid``: pseudo bones; ``placed``: they move and never turn; ``none``: there are none.
         invariant_codes: whether training draws the other part's code at random (CIL).
         distances: whether the density comes from a signed distance, with the eikonal loss and the body as its start.
+        joint: whether identities share tables and are told apart by their codes alone.
+        own_codes: whether what a person looks like is told its own code alone, and an object the same.
     """
 
     name: str
     objects: Literal["rigid", "placed", "none"] = "rigid"
     invariant_codes: bool = True
     distances: bool = False
+    joint: bool = False
+    own_codes: bool = False
 
     @property
     def reach(self) -> float:
@@ -69,6 +76,9 @@ METHODS = {
     for method in (
         Method("chona"),
         Method("no-cil", invariant_codes=False),
+        Method("separate", invariant_codes=False, own_codes=True),
+        Method("joint", joint=True),
+        Method("joint-no-cil", invariant_codes=False, joint=True),
         Method("object-translation", objects="placed"),
         Method("tava", objects="none", invariant_codes=False),
         Method("arah", objects="none", invariant_codes=False, distances=True),

@@ -1,13 +1,14 @@
-"""Commands of the study: ``chona reproduce``."""
+"""Commands that came with the study: ``chona reproduce`` and ``chona add``."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from chona_model.arguments import UsageError, writable_folder
-from chona_model.command_parts import finish, resolve_device
-from chona_model.study_line import DEFAULT_MINUTES
+from chona_model.arguments import UsageError, sources_of, writable_folder
+from chona_model.command_parts import finish, open_sources, resolve_device
+from chona_model.study_line import ADD_STEPS, DEFAULT_MINUTES
 
 if TYPE_CHECKING:
     from chona_model.progress import Progress
@@ -42,6 +43,42 @@ def reproduce_command(arguments: argparse.Namespace, progress: Progress) -> int:
     )
     told = reproduce(task, protocol, progress, _again(arguments, protocol))
     return finish(progress, f"{told['cells']} of {told['of']} cells made, {told['kept']} kept: {told['table']}", **told)
+
+
+def add_command(arguments: argparse.Namespace, progress: Progress) -> int:
+    """Adds identities to a model."""
+    from chona_model.formats.model_file import read_header
+
+    sources_of(arguments.sources)
+    header = read_header(arguments.model)
+    names = _new_names(arguments.identity)
+    out = writable_folder(arguments.out, "--out")
+    dataset, statement = open_sources(arguments)
+    progress.check()
+    device = resolve_device(arguments.device)
+    from chona_model.train.add import add
+    from chona_model.train.run import TrainRun
+
+    steps = arguments.steps if arguments.steps is not None or arguments.minutes is not None else ADD_STEPS
+    run = TrainRun(
+        method=header.method, minutes=arguments.minutes, steps=steps, image_scale=arguments.image_scale, device=device,
+        seed=arguments.seed, resume=arguments.resume, data_statement=statement, preview_every=arguments.preview_every,
+    )  # fmt: skip
+    model = add(arguments.model, dataset, names, out, run, progress)
+    return finish(progress, f"wrote {model} with {', '.join(names.values())} added", model=str(model))
+
+
+def _new_names(words: Sequence[str]) -> dict[str, str]:
+    """Names in the model by names in the data, of ``NAME`` and ``NAME=NEW``."""
+    names: dict[str, str] = {}
+    for word in words:
+        name, equals, new = word.partition("=")
+        if not name or (equals and not new):
+            raise UsageError(f"--identity has '{word}', expected NAME or NAME=NEW: name both sides")
+        if name in names or (new or name) in names.values():
+            raise UsageError(f"--identity has '{word}' a second time, or two by one name; give each a name of its own")
+        names[name] = new or name
+    return names
 
 
 def _again(arguments: argparse.Namespace, protocol: object) -> list[str]:

@@ -9,6 +9,27 @@ from chona_model.arguments import name_list, number, whole
 
 DEFAULT_MINUTES = 10.0
 """Of training a cell."""
+ADD_STEPS = 1500
+"""Of ``chona add``."""
+
+
+def add_add(command: argparse.ArgumentParser) -> None:
+    """Options of ``chona add``, besides those that name the data."""
+    command.add_argument("--model", type=Path, required=True, metavar="FILE", help="the model that it is added to")
+    command.add_argument(
+        "--identity", type=name_list, required=True, metavar="A,B=C,…",
+        help="persons and objects of the data, seen alone or with each other; B=C adds B by the name C",
+    )  # fmt: skip
+    command.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for the new model and its log")
+    length = command.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
+    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help=f"default: {ADD_STEPS}")
+    command.add_argument("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of all random numbers")
+    command.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
+    command.add_argument(
+        "--preview-every", type=number(0, above=True), metavar="S",
+        help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
+    )  # fmt: skip
 
 
 def add_reproduce(command: argparse.ArgumentParser) -> None:

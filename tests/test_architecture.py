@@ -24,7 +24,7 @@ FLOORS = (
     ("blur",),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),
-    ("grid_device",),
+    ("grid_device", "grid_growth"),
     ("grid_view", "grid_trace"),
     ("grid_inputs", "render.tracing"),
     ("grid_model", "exact"),

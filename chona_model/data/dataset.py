@@ -82,6 +82,11 @@ class Pose:
     world_from_bone: np.ndarray
     world_from_object: np.ndarray
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of everything that the pose shows, the person first."""
+        return self.objects if self.person is None else (self.person, *self.objects)
+
 
 MASK_THRESHOLD = 127
 """Masks are 8-bit and may be JPEG (BEHAVE): anything above is inside."""

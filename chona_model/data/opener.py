@@ -127,12 +127,12 @@ def join_datasets(datasets: Sequence[Dataset]) -> Dataset:
     """
     if not datasets:
         raise DatasetError("there is no dataset to join; name at least one with --data")
-    first = datasets[0]
+    first = next((dataset for dataset in datasets if dataset.persons), datasets[0])
     persons: dict[str, Person] = {}
     objects: dict[str, ObjectShape] = {}
     gaps: Counter[str] = Counter()
     for dataset in datasets:
-        if dataset.skeleton != first.skeleton:
+        if dataset.persons and dataset.skeleton != first.skeleton:
             raise DatasetError(
                 f"the captures have different skeletons ({len(first.skeleton)} and {len(dataset.skeleton)} bones, or "
                 "other names); train them apart, or capture them with one rig"

@@ -1,7 +1,8 @@
 """The conditional radiance field on grids: one table per identity, small shared MLPs conditioned on both codes.
 
 Same inputs and outputs as the paper's F_Θr: (x_c, v_h, v_o) → (colour, density), Lambertian colour times a
-pose-dependent ambient occlusion.  Separate tables make a scene load only the identities it shows.
+pose-dependent ambient occlusion.  Separate tables make a scene load only the identities it shows.  A joint field, for
+comparison, has the paper's structure: one table for all persons and one for all objects, told apart by codes alone.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ class GridShape:
         hidden: width of the MLPs; features: geometry features handed from density to colour.
         code: length of an identity code; pose: length of the bottleneck of the pose code.
         density_scale: 1/m; the density is ``density_scale · softplus(raw − 1)``.
+        joint: whether all persons read one table and all objects another.
+        own_codes: whether persons and objects are conditioned on their own code alone.
     """
 
     levels: int = 8
@@ -44,6 +47,8 @@ class GridShape:
     code: int = 8
     pose: int = 8
     density_scale: float = 100.0
+    joint: bool = False
+    own_codes: bool = False
 
     def __post_init__(self) -> None:
         if self.levels * FEATURES % LANES or self.hidden % LANES or not 0 < self.features < LANES:
@@ -61,6 +66,9 @@ class GridField(nn.Module):
         lower, upper: [I, 3] boxes of the parts (persons first, then objects), metres, each in its own frame.
         persons: number of persons among the parts.
         pose_code: length of the full pose code.
+
+    Attributes:
+        table_of: [I] int32 the table that each part reads; lower: [tables, 3] the corner that it begins at, metres.
     """
 
     def __init__(self, shape: GridShape, lower: np.ndarray, upper: np.ndarray, persons: int, pose_code: int) -> None:
@@ -68,12 +76,16 @@ class GridField(nn.Module):
         self.shape = shape
         self.persons = persons
         parts = len(lower)
+        own = (np.arange(parts) >= persons) * int(persons > 0) if shape.joint else np.arange(parts)
+        corners = np.stack([lower[own == table].min(axis=0) for table in range(own.max() + 1)])
+        self.table_of: Tensor
+        self.register_buffer("table_of", torch.as_tensor(own, dtype=torch.int32), persistent=False)
         self.lower: Tensor
-        self.register_buffer("lower", torch.as_tensor(lower, dtype=torch.float32))
+        self.register_buffer("lower", torch.as_tensor(corners, dtype=torch.float32))
         self.layout: GridLayout = make_layout(
-            (upper - lower).max(axis=0), shape.coarsest, shape.finest, shape.levels, 1 << shape.rows
+            (upper - corners[own]).max(axis=0), shape.coarsest, shape.finest, shape.levels, 1 << shape.rows
         )
-        table = torch.rand(parts, shape.levels, 1 << shape.rows, FEATURES) * 2e-4 - 1e-4
+        table = torch.rand(len(corners), shape.levels, 1 << shape.rows, FEATURES) * 2e-4 - 1e-4
         self.table = nn.Parameter(table)
         self.gradient = TableGradient(table)
         self.person_codes = nn.Parameter(0.1 * torch.randn(max(persons, 1), shape.code))
@@ -113,6 +125,7 @@ class GridField(nn.Module):
         Returns:
             density [M] 1/m and rgb [M, 3] sRGB in 0…1.
         """
+        part = self.table_of[part.long()]
         local = (points - self.lower[part.long()]).clamp(min=0.0)
         weights = self.weights(self.codes(pairs), pose_codes)
         if compiles(local):
@@ -143,6 +156,7 @@ class GridField(nn.Module):
 
     def raw_density(self, points: Tensor, part: Tensor, pairs: Tensor, pair: Tensor) -> Tensor:
         """What the density is a softplus of: [M], differentiable in the parameters."""
+        part = self.table_of[part.long()]
         local = (points - self.lower[part.long()]).clamp(min=0.0)
         gradient = self.gradient if self.table.requires_grad and torch.is_grad_enabled() else None
         encoded = encode(local, part, self.table, self.layout, gradient)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,8 +53,40 @@ def make_layout(extent: np.ndarray, coarsest: float, finest: float, levels: int,
     if rows & (rows - 1):
         raise ValueError(f"table rows must be a power of two, got {rows}")
     cells = np.geomspace(coarsest, finest, levels)
-    dims = np.ceil(np.asarray(extent)[None] / cells[:, None]).astype(np.int64) + 2
+    return layout_of(np.ceil(np.asarray(extent)[None] / cells[:, None]).astype(np.int64) + 2, coarsest, finest, rows)
+
+
+def layout_of(dims: np.ndarray, coarsest: float, finest: float, rows: int) -> GridLayout:
+    """The layout with so many corners, ``dims`` [L, 3], in every level."""
+    cells = np.geomspace(coarsest, finest, len(dims))
     return GridLayout((1.0 / cells).astype(np.float32), dims, dims.prod(axis=1) <= rows, rows)
+
+
+def grow_layout(layout: GridLayout, extent: np.ndarray) -> GridLayout:
+    """The layout over a box that may be larger, for tables that are laid out by ``layout`` now (see ``lay_out_anew``).
+
+    Where a point's features are found does not change in hashed levels.  A dense level whose corners would not fit into
+    its rows any more keeps its size: beyond it counts as its border, and the finer levels tell points apart there.
+
+    Args:
+        extent: [3] metres.
+    """
+    cells = 1.0 / layout.inverse_cells.astype(np.float64)
+    needed = np.ceil(np.asarray(extent)[None] / cells[:, None]).astype(np.int64) + 2
+    dims = np.maximum(layout.dims, needed)
+    fits = ~layout.dense | (dims.prod(axis=1) <= layout.rows)
+    return replace(layout, dims=np.where(fits[:, None], dims, layout.dims))
+
+
+def lay_out_anew(table: Tensor, old: GridLayout, new: GridLayout) -> Tensor:
+    """Tables [I, L, T, FEATURES] of the layout ``old`` as ``new`` = ``grow_layout(old, …)`` looks features up."""
+    result = table.clone()
+    for level in np.flatnonzero(old.dense & (old.dims != new.dims).any(axis=1)):
+        nx, ny, nz = map(int, old.dims[level])
+        wide, deep = map(int, new.dims[level, :2])
+        x, y, z = np.meshgrid(np.arange(nx), np.arange(ny), np.arange(nz), indexing="ij")
+        result[:, level, x + wide * (y + deep * z)] = table[:, level, x + nx * (y + ny * z)]
+    return result
 
 
 class TableGradient:

@@ -110,7 +110,7 @@ def make_pose_table(
 @dataclass(frozen=True)
 class RayRows:
     """R rays: origins and directions [R, 3] in root space, near and far depths [R], jitter [R] in 0…1, pose [R] int32
-    in the table, pair [R, N] int64 rows of the identity pairs, a column a slot (the person takes the first)."""
+    in the table, pair [R, 1 + N] int64 rows of the identity pairs: for the person, and for each slot's object."""
 
     origins: Tensor
     directions: Tensor
@@ -190,7 +190,7 @@ def trace(
     chosen = kept.nonzero()[:, 0]
     first = torch.nn.functional.pad(kept.long().cumsum(dim=0), (1, 0))[found.first]
     points, part, kind, ray, pose = points[chosen], part[chosen], kind[chosen], ray[chosen], pose[chosen]
-    density, rgb = model.field(points, part, pairs, rays.pair[ray, kind.long().clamp(min=0)], codes, pose)
+    density, rgb = model.field(points, part, pairs, rays.pair[ray, kind.long() + 1], codes, pose)
     normals = _root_normals(table, matrices.detach(), index, points.detach(), part, kind, pose)
     rgb = rgb * reference.gains(normals, lights[pose])
     depth = found.depth[chosen]

@@ -26,7 +26,8 @@ class GridPart:
         number = model.person_index(name) if is_person else model.object_index(name)
         self.number, self.part = number, number if is_person else len(model.persons) + number
         thing = next(iter(posed.objects), -1) if is_person else number
-        self._pairs = torch.tensor([[posed.person, thing]], device=model.device)
+        pair = model.pair(posed.person, thing, of_object=not is_person)
+        self._pairs = torch.tensor([pair], device=model.device)
         self._code = model.real(posed.code[None])
         self.lower, self.upper = model.boxes[0][self.part], model.boxes[1][self.part]
         self._weights = model.volume(number).weights().detach().float().cpu().numpy() if is_person else None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from chona_model.grid_model import GridModel
 from chona_model.kernels.cpu.adam import adam_rows
@@ -30,23 +32,27 @@ class GridOptimiser:
         model: whose gradients are there when ``step`` is called.
         settings: rates and how they fall.
         fused: the tables' gradients come from the kernels, row by row; otherwise they are tensors like the others'.
+        learned: persons whose skinning is learned; where it is not None, nothing that identities share is.
     """
 
-    def __init__(self, model: GridModel, settings: FastSettings, fused: bool) -> None:
-        field, volumes = model.field, model.volumes
+    def __init__(
+        self, model: GridModel, settings: FastSettings, fused: bool, learned: Sequence[int] | None = None
+    ) -> None:
+        field = model.field
+        volumes = model.volumes if learned is None else nn.ModuleList(model.volumes[index] for index in learned)
         self.model, self.settings, self.fused = model, settings, fused
         perceptrons = [value for name, value in field.named_parameters() if name not in {"table", "light"}]
         logits = [value for name, value in volumes.named_parameters() if name.endswith("logits")]
         offsets = [value for name, value in volumes.named_parameters() if "offset" in name]
+        shared = learned is None
         groups = [
-            {"params": perceptrons, "lr": settings.mlp_rate},
-            {"params": [field.light], "lr": settings.light_rate},
+            {"params": perceptrons if shared else [], "lr": settings.mlp_rate},
+            {"params": [field.light] if shared else [], "lr": settings.light_rate},
             {"params": logits, "lr": settings.skin_rate},
             {"params": offsets, "lr": settings.offset_rate},
         ]
         if not fused:
             groups.append({"params": [field.table], "lr": settings.grid_rate})
-        groups = [group for group in groups if group["params"]]
         self._rates = [float(group["lr"]) for group in groups]  # type: ignore[arg-type]
         self._adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON, fused=True)
         moments = field.table.shape if fused else (0,)
@@ -54,7 +60,7 @@ class GridOptimiser:
 
     def clear(self) -> None:
         """Forgets gradients; the tables' are cleared by ``step``."""
-        self._adam.zero_grad(set_to_none=True)
+        self.model.zero_grad(set_to_none=True)
 
     def step(self, index: int, share: float) -> None:
         """One step of everything that has a gradient.

@@ -14,6 +14,7 @@ from chona_model.deform.voxels import bone_nodes
 from chona_model.field.codes import draw_invariant_codes
 from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
+from chona_model.grid_growth import grown
 from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.kernels.cpu.advance import Starts
@@ -38,6 +39,20 @@ def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
     return wrong**2
 
 
+def _make_model(dataset: Dataset, shape: GridModelShape | None, method: Method) -> GridModel:
+    slots = max((len(view.pose.objects) for view in dataset.views), default=0)
+    shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
+    shape = replace(shape, turns_objects=method.objects != "placed", reach=method.reach)
+    field = replace(shape.field, own_codes=method.own_codes)
+    if method.joint:
+        field = replace(field, joint=True, rows=max(field.rows, JOINT_ROWS))
+    shape = replace(shape, field=field)
+    return GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
+
+
+JOINT_ROWS = 19
+"""log2 of the rows of a level where all persons or all objects share them: four identities' worth."""
+
 KEPT_MATRICES = 64
 """Poses whose blended matrices are kept: two megabytes each."""
 
@@ -51,6 +66,7 @@ class GridTrainer:
         seed: of everything random, together with the step.
         image_scale: size of the images used.
         method: what of objects' motion is told, and whether there is compositional invariant learning.
+        base: a model that stays as it is, to which the dataset's identities are added (see ``grid_growth``).
         device, dtype: float32 on the CPU is for the fused kernels; anything else takes the stages of tensors.
 
     Raises:
@@ -60,21 +76,25 @@ class GridTrainer:
     def __init__(
         self, dataset: Dataset, settings: FastSettings, seed: int, image_scale: float = 1.0,
         method: Method = METHODS["chona"], shape: GridModelShape | None = None, device: str = "cpu",
-        dtype: torch.dtype = torch.float32,
+        dtype: torch.dtype = torch.float32, base: GridModel | None = None,
     ) -> None:  # fmt: skip
         dataset = method.dataset(dataset)
         check_dataset(dataset)
         self.groups = group_by_pose(dataset, image_scale)
         torch.manual_seed(seed)
         self.settings, self.seed, self.method = settings, seed, method
-        slots = max((len(view.pose.objects) for view in dataset.views), default=0)
-        shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
-        shape = replace(shape, turns_objects=method.objects != "placed", reach=method.reach)
         guessed = any(person.surface is None for person in dataset.persons.values())
         self.learns_skinning = guessed or settings.refine_given_weights
-        self.model = GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
+        if base is None:
+            self.model = _make_model(dataset, shape, method)
+        else:
+            self.model = grown(base, list(dataset.persons.values()), list(dataset.objects.values()))
+        self.persons = [self.model.person_index(name) for name in dataset.persons]
+        objects = [len(self.model.persons) + self.model.object_index(name) for name in dataset.objects]
+        self.parts = [*self.persons, *objects]
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
-        carve_hull(self.model, self.posed, [list(zip(group.views, group.pixels, strict=True)) for group in self.groups])
+        images = [list(zip(group.views, group.pixels, strict=True)) for group in self.groups]
+        carve_hull(self.model, self.posed, images, self.parts)
         empty = [part.name for part, count in self._occupied() if count == 0]
         if empty:
             raise DatasetError(
@@ -89,7 +109,7 @@ class GridTrainer:
         self.distances = DistanceField(self.model, self._usual_pair, seed) if method.distances else None
         if self.distances is not None:
             self.distances.begin(GridOptimiser(self.model, settings, self.fused))
-        self.optimiser = GridOptimiser(self.model, settings, self.fused)
+        self.optimiser = GridOptimiser(self.model, settings, self.fused, None if base is None else self.persons)
         self.bones = [
             bone_nodes(self.model.grid(index), dataset.skeleton, person.rest_joints)
             for index, person in enumerate(self.model.persons)
@@ -97,7 +117,7 @@ class GridTrainer:
 
     def _occupied(self) -> list[tuple[Person | ObjectShape, int]]:
         identities: list[Person | ObjectShape] = [*self.model.persons, *self.model.objects]
-        return [(item, len(self.model.occupancy.occupied(part))) for part, item in enumerate(identities)]
+        return [(identities[part], len(self.model.occupancy.occupied(part))) for part in self.parts]
 
     def _rebuild(self) -> None:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
@@ -178,8 +198,8 @@ class GridTrainer:
             return [self.model.matrices([self.posed[pose]])[0] for pose in chosen]
         for pose in map(int, chosen):
             if pose not in self._kept:
-                while len(self._kept) >= KEPT_MATRICES:
-                    self._kept.pop(next(iter(self._kept)))
+                if len(self._kept) >= KEPT_MATRICES:
+                    self._kept.pop(next(kept for kept in self._kept if kept not in chosen))
                 with torch.no_grad():
                     self._kept[pose] = self.model.rendering_matrices(self.posed[pose])
         return [self._kept[int(pose)] for pose in chosen]
@@ -201,8 +221,8 @@ class GridTrainer:
         )  # fmt: skip
 
     def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, np.ndarray]:
-        """Pairs of identities in use [Q, 2] and [R, N] int64 each ray's pair for every object slot; CIL exchanges what
-        a ray does not show."""
+        """Pairs of identities in use [Q, 2] and [R, 1 + N] int64 each ray's pair for the person and for every object
+        slot; CIL exchanges what a ray does not show."""
         slots = self.model.shape.object_slots
         shown = torch.full((len(self.posed), slots), -1)
         for row, figure in enumerate(self.posed):
@@ -216,7 +236,13 @@ class GridTrainer:
                 n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index,
             )  # fmt: skip
         pairs = torch.cartesian_prod(torch.arange(-1, n_persons), torch.arange(-1, n_objects))
-        used, ray_pair = torch.unique((persons + 1)[:, None] * (n_objects + 1) + objects + 1, return_inverse=True)
+        if self.model.shape.field.own_codes:
+            nobody = torch.full((len(persons), 1), -1)
+            of_person = torch.cat([persons[:, None], nobody.expand(-1, slots)], dim=1)
+            of_object = torch.cat([nobody, objects], dim=1)
+        else:
+            of_person, of_object = persons[:, None], torch.cat([objects[:, :1], objects], dim=1)
+        used, ray_pair = torch.unique((of_person + 1) * (n_objects + 1) + of_object + 1, return_inverse=True)
         return pairs[used], ray_pair.numpy()
 
     def _regularisers(self, figures: list) -> Tensor:
@@ -238,7 +264,7 @@ class GridTrainer:
         """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
         if self.settings.cull_from <= done <= self.settings.cull_until and done % self.settings.cull_every == 0:
             random = np.random.default_rng([self.seed, done, 1])
-            for part in range(len(self.model.occupancy.dims)):
+            for part in self.parts:
                 self._refresh(part, random)
             self.surfaces = replace(self.surfaces, occupied=occupied_cells(self.model.occupancy))
         if done in self.settings.rebuild:
@@ -256,7 +282,8 @@ class GridTrainer:
             torch.zeros(len(points), dtype=torch.int64, device=pair.device),
         ).float().cpu()  # fmt: skip
         if not bool(torch.isfinite(density).all()):
-            raise TrainingError(density_not_finite(self._occupied()[part][0].name, self.rates))
+            name = [*self.model.persons, *self.model.objects][part].name
+            raise TrainingError(density_not_finite(name, self.rates))
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
         occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)
@@ -266,7 +293,7 @@ class GridTrainer:
         for figure in self.posed:
             thing = figure.objects[0] if figure.objects else -1
             if figure.person == part or (thing >= 0 and len(self.model.persons) + thing == part):
-                return torch.tensor([[figure.person, thing]])
+                return torch.tensor([self.model.pair(figure.person, thing, of_object=figure.person != part)])
         persons = len(self.model.persons)
         return torch.tensor([[part, -1] if part < persons else [-1, part - persons]])
 

@@ -34,15 +34,19 @@ BONE_REACH = 0.20
 """The same without a body model, from the bones, metres."""
 
 
-def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[Sequence[tuple[View, Pixels]]]) -> None:
+def carve_hull(
+    model: GridModel, poses: Sequence[PosedFigure], views: Sequence[Sequence[tuple[View, Pixels]]],
+    parts: Sequence[int] | None = None,
+) -> None:  # fmt: skip
     """Sets the model's occupancy to the visual hull.
 
     Args:
         poses: every training pose; views: the images of each.
+        parts: which to carve, all when None; the others stay as they are.
     """
     occupancy = model.occupancy
     union = [[binary_dilation(pixels.mask, iterations=MASK_MARGIN) for _, pixels in row] for row in views]
-    for part in range(len(occupancy.dims)):
+    for part in range(len(occupancy.dims)) if parts is None else parts:
         cells = np.arange(len(occupancy.part(part)))
         is_person = part < len(model.persons)
         if is_person:
@@ -64,7 +68,8 @@ def carve_hull(model: GridModel, poses: Sequence[PosedFigure], views: Sequence[S
         kept = (seen > 0) & (inside >= share * seen) & (own >= OWN_SHARE * seen)
         occupancy.part(part)[:] = 0.0
         occupancy.part(part)[cells[kept]] = UNKNOWN_DENSITY
-    occupancy.support[:] = occupancy.densities > 0
+        own = slice(occupancy.first[part], occupancy.first[part + 1])
+        occupancy.support[own] = occupancy.densities[own] > 0
 
 
 def _near_body(model: GridModel, person: int, centres: np.ndarray) -> np.ndarray:

@@ -108,33 +108,57 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
         DatasetError, TrainingError, CheckpointError, OSError.
     """
     out.mkdir(parents=True, exist_ok=True)
-    (out / STOP).unlink(missing_ok=True)
     with repeatable(run.device):
         trainer, settings = make_trainer(dataset, run)
-        identity = {
-            "preset": run.preset, "method": run.method, "seed": run.seed, "image_scale": run.image_scale,
-            "persons": sorted(dataset.persons), "objects": sorted(dataset.objects), "views": len(dataset.views),
-            "sequences": sorted({view.sequence for view in dataset.views}),
-        }  # fmt: skip
-        if not run.resume:
-            (out / PREVIEW).unlink(missing_ok=True)
-        preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)
-        loop = _Loop(trainer, out, run, identity, preview)
-        try:
-            loop.run(progress)
-        except TrainingError as error:
-            raise TrainingError(f"{error}; {loop.kept()}") from error
+        identity = {"preset": run.preset, "method": run.method}
+        actor, training = run_trainer(trainer, dataset, out, run, identity, progress)
     model = out / MODEL
+    save_actor(model, actor, run.method, {"preset": run.preset, **settings}, training)
+    report_end(progress, model, training)
+    return model
+
+
+def run_trainer(
+    trainer: Trainer, dataset: Dataset, out: Path, run: TrainRun, identity: dict[str, Any], progress: Progress
+) -> tuple[Actor, dict[str, Any]]:
+    """Trains until the budget is spent or the user wants an end, with log and checkpoints in ``out``.
+
+    Args:
+        identity: what else than seed, image size and data a checkpoint must agree in to be continued.
+
+    Returns:
+        what was learned, and what a model file says of its training.
+
+    Raises:
+        TrainingError, CheckpointError, OSError.
+    """
+    (out / STOP).unlink(missing_ok=True)
+    identity = identity | {
+        "seed": run.seed, "image_scale": run.image_scale, "persons": sorted(dataset.persons),
+        "objects": sorted(dataset.objects), "views": len(dataset.views),
+        "sequences": sorted({view.sequence for view in dataset.views}),
+    }  # fmt: skip
+    if not run.resume:
+        (out / PREVIEW).unlink(missing_ok=True)
+    preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)
+    loop = _Loop(trainer, out, run, identity, preview)
+    try:
+        loop.run(progress)
+    except TrainingError as error:
+        raise TrainingError(f"{error}; {loop.kept()}") from error
     training = {"steps": loop.done, "seconds": round(loop.spent, 2),
                 "poses": len({(v.sequence, v.frame) for v in dataset.views}), "views": len(dataset.views),
                 "data": run.data_statement, "finished": not progress.cancelled_by_user,
                 "poses_seen": poses_seen(dataset)}  # fmt: skip
-    save_actor(model, trainer.actor(), run.method, {"preset": run.preset, **settings}, training)
+    return trainer.actor(), training
+
+
+def report_end(progress: Progress, model: Path, training: dict[str, Any]) -> None:
+    """Tells the user where the model is."""
     if progress.cancelled_by_user:
-        progress.cancelled(model=str(model), step=loop.done)
+        progress.cancelled(model=str(model), step=training["steps"])
     else:
-        progress.result(model=str(model), steps=loop.done, seconds=round(loop.spent, 2))
-    return model
+        progress.result(model=str(model), steps=training["steps"], seconds=training["seconds"])
 
 
 class _Loop:
@@ -169,12 +193,12 @@ class _Loop:
         report: dict[str, float] = {}
         with TrainingLog(self.out, self.done if self.resumes else 0) as log:
             began = time.perf_counter() - self.spent
-            saved, warm = time.perf_counter(), self.done > 0
+            saved, warm, before = time.perf_counter(), False, self.spent
             while not self._stopped(progress) and self.share < 1.0:
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
                 if not warm:
-                    began, warm = time.perf_counter(), True  # the first step compiled the kernels
+                    began, warm = time.perf_counter() - before, True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began
                 drawn = self._draw()
                 if drawn:

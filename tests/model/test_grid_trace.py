@@ -47,7 +47,7 @@ class Case:
                     GivenRays(
                         origins.astype(np.float32), directions.astype(np.float32), near[rows, columns][pick],
                         far[rows, columns][pick], random.random(300, dtype=np.float32),
-                        random.integers(4, size=(300, 1)), number,
+                        random.integers(4, size=(300, 2)), number,
                     ),
                 )
             )  # fmt: skip

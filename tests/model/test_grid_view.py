@@ -57,9 +57,9 @@ def test_the_kernel_sees_what_the_stages_see(scene, changes: dict) -> None:
             model, table, matrices, index,
             RayRows(
                 *(torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32) for array in rays),
-                torch.zeros(count, dtype=torch.int32), torch.arange(slots).expand(count, -1),
+                torch.zeros(count, dtype=torch.int32), torch.arange(1 + slots).expand(count, -1),
             ),
-            torch.tensor([[posed.person, thing] for thing in posed.objects]),
+            model.pairs(posed),
             torch.as_tensor(posed.code[None], dtype=torch.float32) if settings.shading else None,
             model.root_light([posed]),
             TraceSettings(step=settings.step, newton=NewtonLimits(12, tolerance=1e-6), trust=0.0, stop=0.0),

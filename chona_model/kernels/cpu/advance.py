@@ -76,7 +76,7 @@ class Block(NamedTuple):
         sample: [RAYS] int64 number of the next sample.
         slot_origin, slot_direction: [RAYS, N, 3] in objects' frames; enter, leave: [RAYS, N] depths of their grids.
         root, slide: [RAYS, chances, 3] last canonical point and its change with depth; root_depth: [RAYS, chances].
-        pair: [RAYS, max(N, 1)] int64 row of the biases for each slot's object; the person takes the first.
+        pair: [RAYS, 1 + N] int64 row of the biases for the person, and for each slot's object.
         result: [RAYS, COLUMNS]; alive: [RAYS] int64; work: for ``find_root``.
     """
 
@@ -133,7 +133,7 @@ def make_block(slots, chances):
         np.empty(RAYS, real), np.empty(RAYS, real), np.empty(RAYS, np.int64), np.empty((RAYS, slots, 3), real),
         np.empty((RAYS, slots, 3), real), np.empty((RAYS, slots), real), np.empty((RAYS, slots), real),
         np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances, 3), real), np.empty((RAYS, chances), real),
-        np.zeros((RAYS, max(slots, 1)), np.int64), np.empty((RAYS, COLUMNS), real), np.empty(RAYS, np.int64),
+        np.zeros((RAYS, 1 + slots), np.int64), np.empty((RAYS, COLUMNS), real), np.empty(RAYS, np.int64),
         np.empty(WORK, real),
     )  # fmt: skip
 
@@ -291,7 +291,7 @@ def advance(r, wanted, n, full, volume, starts, parts, limits, apart, block, fou
             ly = block.slot_origin[r, slot, 1] + t * block.slot_direction[r, slot, 1]
             lz = block.slot_origin[r, slot, 2] + t * block.slot_direction[r, slot, 2]
             if _occupied(lx, ly, lz, part, parts):
-                _push(found, n, r, t, part, block.pair[r, slot], True, lx, ly, lz)
+                _push(found, n, r, t, part, block.pair[r, slot + 1], True, lx, ly, lz)
                 a, b, c = normal_at(lx, ly, lz, part, parts)
                 m = parts.slot_matrix
                 _face(found, n, m[slot, 0, 0] * a + m[slot, 1, 0] * b + m[slot, 2, 0] * c,

@@ -59,13 +59,13 @@ def _corners(points, m, lower, which, scale, nx, ny, nz, dense, mask):
 
 
 @inner
-def encode_level(level, points, identity, begin, end, lower, table, inverse_cells, dims, dense, rows_per_level, out):
-    """One level of ``encode`` of the points ``begin`` to ``end``."""
+def encode_level(level, points, part, begin, end, of, lower, table, inverse_cells, dims, dense, rows_per_level, out):
+    """One level of ``encode`` of the points ``begin`` to ``end``; ``of`` [parts] int32: whose tables a part reads."""
     mask = np.uint32(rows_per_level - 1)
     scale, is_dense, levels = inverse_cells[level], dense[level], table.shape[1]
     nx, ny, nz = np.int32(dims[level, 0]), np.int32(dims[level, 1]), np.int32(dims[level, 2])
     for m in range(begin, end):
-        which = identity[m]
+        which = of[part[m]]
         r, w = _corners(points, m, lower, which, scale, nx, ny, nz, is_dense, mask)
         base = (which * levels + level) * rows_per_level
         one = splat4(w[0]) * load4(table, FEATURES * (base + r[0]))
@@ -93,7 +93,10 @@ def encode(level, points, identity, lower, table, inverse_cells, dims, dense, ro
         rows_per_level: T, a power of two.
         out: [M, L · FEATURES], the level's columns written.
     """
-    encode_level(level, points, identity, 0, len(points), lower, table, inverse_cells, dims, dense, rows_per_level, out)
+    own = np.arange(len(lower), dtype=np.int32)
+    encode_level(
+        level, points, identity, 0, len(points), own, lower, table, inverse_cells, dims, dense, rows_per_level, out
+    )
 
 
 @entry

@@ -16,7 +16,7 @@ def face(chosen, found, volume, parts, normals):
     Unlike ``Candidates.normal``, which the light was learned with, they go through the whole warp.
 
     Args:
-        chosen: [M] int64 candidates; found: ``Candidates`` whose ``pair`` is the slot of those on objects.
+        chosen: [M] int64 candidates; found: ``Candidates`` whose ``pair`` is 1 + the slot of those on objects.
         volume, parts: of the pose.
         normals: [M, 3] float32, written.
     """
@@ -26,7 +26,7 @@ def face(chosen, found, volume, parts, normals):
         x, y, z = found.point[m, 0], found.point[m, 1], found.point[m, 2]
         a, b, c = normal_at(x, y, z, found.part[m], parts)
         if found.thing[m]:
-            s = found.pair[m]
+            s = found.pair[m] - 1
             a, b, c = (
                 matrix[s, 0, 0] * a + matrix[s, 1, 0] * b + matrix[s, 2, 0] * c,
                 matrix[s, 0, 1] * a + matrix[s, 1, 1] * b + matrix[s, 2, 1] * c,

@@ -20,7 +20,8 @@ class GivenRays(NamedTuple):
 
     Attributes:
         origins, directions: [R, 3] root space; near, far: [R] depths; jitter: [R] 0…1; all float32.
-        pair: [R, N] int64 row of the biases for each slot's object; pose: row of the biases of the shading.
+        pair: [R, 1 + N] int64 row of the biases for the person and for each slot's object; pose: row of the biases of
+            the shading.
     """
 
     origins: np.ndarray

@@ -28,11 +28,13 @@ class Tables(NamedTuple):
     """Grid encoding of all parts.
 
     Attributes:
-        table: [I, L, T, F]; lower: [I, 3] lower corners.
+        of: [parts] int32 the table that each part reads.
+        table: [I, L, T, F]; lower: [I, 3] lower corners, metres.
         inverse_cells, dims, dense, rows: the layout (see ``kernels.grid.GridLayout``).
         scale: of the density, 1/m.
     """
 
+    of: np.ndarray
     table: np.ndarray
     lower: np.ndarray
     inverse_cells: np.ndarray
@@ -57,8 +59,8 @@ def _evaluate(begin, end, light, tables, net, found, act):
     """Encodes candidates, and their density and colour."""
     for level in range(tables.table.shape[1]):
         encode_level(
-            level, found.point, found.part, begin, end, tables.lower, tables.table, tables.inverse_cells, tables.dims,
-            tables.dense, tables.rows, found.x,
+            level, found.point, found.part, begin, end, tables.of, tables.lower, tables.table, tables.inverse_cells,
+            tables.dims, tables.dense, tables.rows, found.x,
         )  # fmt: skip
     for first in range(begin, end, BLOCK):
         rows = min(BLOCK, end - first)

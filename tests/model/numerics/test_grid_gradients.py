@@ -30,7 +30,7 @@ def gradients(name: str, dtype: torch.dtype) -> tuple[dict[str, torch.Tensor], t
     rays = RayRows(
         model.real(origins.copy()), model.real(directions), model.real(near[rows, columns]),
         model.real(far[rows, columns]), model.real(np.full(count, 0.5)), torch.zeros(count, dtype=torch.int32),
-        torch.zeros(count, slots, dtype=torch.int64),
+        torch.zeros(count, 1 + slots, dtype=torch.int64),
     )  # fmt: skip
     pairs = torch.tensor([[pose.person, pose.objects[0] if pose.objects else -1]])
     codes, lights = model.real(pose.code[None]), model.root_light([pose])

@@ -84,7 +84,8 @@ def test_invariant_learning_exchanges_the_code_that_a_ray_does_not_show(capture)
     part = np.repeat([0, 1, 2], 100)
     figure = trainer.posed[0]
     pairs, index = trainer._identities(pose, part, 5)
-    drawn = pairs[index[:, 0]]
+    assert (index[:, 0] == index[:, 1]).all()
+    drawn = pairs[index[:, 1]]
     assert (drawn[:100] == torch.tensor([figure.person, figure.objects[0]])).all()
     assert (drawn[100:200, 0] == figure.person).all()
     assert set(drawn[100:200, 1].tolist()) == {0, 1}

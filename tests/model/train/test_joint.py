@@ -10,8 +10,9 @@ import pytest
 from tiny_capture import tiny_capture
 from tiny_models import SETTINGS, tiny_trainer
 
-from chona_model.data.dataset import Dataset, Pose, load_pixels
+from chona_model.data.dataset import Dataset, load_pixels
 from chona_model.data.opener import join_datasets
+from chona_model.data.renamed import renamed
 from chona_model.evaluate.metrics import psnr
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.exact_trainer import ExactTrainer, PaperSettings
@@ -20,19 +21,9 @@ from chona_model.train.exact_trainer import ExactTrainer, PaperSettings
 def shared(folder: Path, prefix: str, share: float, **kind: int) -> Dataset:
     """A tiny capture with names of its own, whose images draw ``share`` of the rays."""
     dataset = tiny_capture(folder, **kind)
-
-    def named(name: str | None) -> str | None:
-        return None if name is None else prefix + name
-
-    def posed(pose: Pose) -> Pose:
-        return replace(pose, person=named(pose.person), objects=tuple(prefix + name for name in pose.objects))
-
-    views = tuple(
-        replace(view, sequence=prefix + view.sequence, ray_share=share, pose=posed(view.pose)) for view in dataset.views
-    )
-    persons = {prefix + name: replace(person, name=prefix + name) for name, person in dataset.persons.items()}
-    objects = {prefix + name: replace(thing, name=prefix + name) for name, thing in dataset.objects.items()}
-    return replace(dataset, persons=persons, objects=objects, views=views)
+    dataset = renamed(dataset, {name: prefix + name for name in (*dataset.persons, *dataset.objects)})
+    views = tuple(replace(view, sequence=prefix + view.sequence, ray_share=share) for view in dataset.views)
+    return replace(dataset, views=views)
 
 
 @pytest.fixture
