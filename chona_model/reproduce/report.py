@@ -1,4 +1,4 @@
-"""A table as it was made, beside the paper's: JSON, Markdown, and a picture for every row."""
+"""A table as it was made, beside the paper's: JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -9,22 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
 
 from chona_model.evaluate.run import machine
-from chona_model.formats.atomic import atomic_path, write_bytes
+from chona_model.formats.atomic import write_bytes
 from chona_model.reproduce.cell import Protocol
-from chona_model.reproduce.tables import Cell, Table
-
-TILE_WIDTH = 256
-CAPTION = 18
+from chona_model.reproduce.tables import Table
 
 Results = Mapping[tuple[str, str], Mapping[str, Any]]
 """Cells' results by row and column."""
 
 
 def write_report(out: Path, name: str, table: Table, results: Results, protocol: Protocol) -> None:
-    """Writes ``NAME.json``, ``NAME.md`` and a picture for every row that has results.
+    """Writes ``NAME.json`` and ``NAME.md``.
 
     Raises:
         OSError: a file cannot be written.
@@ -83,42 +79,3 @@ def _mean(figures: list[tuple[float | None, float | None]]) -> str:
     both = [(made, paper) for made, paper in figures if made is not None and paper is not None]
     paper = f" ({np.mean([paper for _, paper in both]):.1f})" if both else ""
     return f"{np.mean(ours):.2f}{paper}"
-
-
-def draw_row(path: Path, row: str, cells: list[tuple[Cell, Path]], table: Table) -> None:
-    """A picture of one row: for every test one view as it is, and as the method makes it.
-
-    Args:
-        cells: those that were made, with their folders.
-    """
-    pairs = []
-    for cell, folder in cells:
-        for test in cell.column.tests:
-            images = folder / "images" / test.replace(" ", "-")
-            targets = sorted(images.glob("*_TARGET.png"))
-            if targets:
-                target = targets[len(targets) // 2]
-                others = sorted(images.glob(target.name.replace("_TARGET", "_*")))
-                kept = [target, *(each for each in others if each != target)]
-                pairs.append((test, [(each, each.stem.rsplit("_", 1)[-1].lower()) for each in kept]))
-    if not pairs:
-        return
-    height = max(len(column) for _, column in pairs)
-    tiles = [[_tile(file) for file, _ in column] for _, column in pairs]
-    tall = max(tile.height for column in tiles for tile in column)
-    sheet = Image.new("RGB", (TILE_WIDTH * len(pairs), CAPTION + height * (tall + CAPTION)), "white")
-    pen = ImageDraw.Draw(sheet)
-    for x, ((test, column), drawn) in enumerate(zip(pairs, tiles, strict=True)):
-        pen.text((x * TILE_WIDTH + 4, 3), f"{table.rows[row].label}: {test}", fill="black")
-        for y, ((_, caption), tile) in enumerate(zip(column, drawn, strict=True)):
-            top = CAPTION + y * (tall + CAPTION)
-            sheet.paste(tile, (x * TILE_WIDTH, top))
-            pen.text((x * TILE_WIDTH + 4, top + tall + 3), caption, fill="black")
-    with atomic_path(path) as temporary:
-        sheet.save(temporary, format="PNG")
-
-
-def _tile(file: Path) -> Image.Image:
-    with Image.open(file) as image:
-        size = (TILE_WIDTH, max(1, round(image.height * TILE_WIDTH / image.width)))
-        return image.convert("RGB").resize(size, Image.Resampling.LANCZOS)

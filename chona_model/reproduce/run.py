@@ -14,7 +14,8 @@ from typing import Any
 from chona_model.formats.atomic import write_bytes
 from chona_model.progress import Progress
 from chona_model.reproduce.cell import Protocol, finished, make_cell
-from chona_model.reproduce.report import draw_row, write_report
+from chona_model.reproduce.picture import draw_row, draw_table
+from chona_model.reproduce.report import write_report
 from chona_model.reproduce.sources import open_cell
 from chona_model.reproduce.tables import Cell, TableError, cells_of, find_table
 
@@ -77,6 +78,7 @@ def reproduce(task: Reproduction, protocol: Protocol, progress: Progress, argume
         for row in table.rows:
             of_row = [(cell, folder) for cell, folder, _ in made if cell.row == row]
             draw_row(task.out / task.table / f"{row}.png", row, of_row, table)
+        draw_table(task.out / task.table / f"{task.table}.png", [(cell, folder) for cell, folder, _ in made], table)
         count = sum((cell.row, cell.column_name) in results for cell in cells)
         progress.update(count, f"{count} of {len(cells)} cells")
         return count
