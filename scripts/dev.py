@@ -82,6 +82,14 @@ def test(words: list[str]) -> None:
     run(program(ENV, "python"), "-m", "pytest", *quick, *beside, *words, CHONA_BPY=bpy)
 
 
+def test_faults(words: list[str]) -> None:
+    """Kills, full disks and bad input, as often as docs/reliability.md says; hours. CI runs each a few times."""
+    environment()
+    blender_environment()
+    bpy = os.environ.get("CHONA_BPY", str(program(BLENDER_ENV, "python")))
+    run(program(ENV, "python"), "-m", "pytest", "-m", "faults", *words, CHONA_BPY=bpy, CHONA_FAULTS="all")
+
+
 def demo(words: list[str]) -> None:
     """The whole job, from a scene to a composite."""
     environment()
@@ -121,7 +129,7 @@ ACTIONS = {
     "env": environment, "blender-env": blender_environment, "lint": lint, "docs": docs, "reference": reference,
     "extension": extension,
 }  # fmt: skip
-WITH_WORDS = {"test": test, "demo": demo, "bench": bench}
+WITH_WORDS = {"test": test, "test-faults": test_faults, "demo": demo, "bench": bench}
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,3 +17,9 @@ def hoibench() -> Path:
     if not (folder / "behave" / "sequences").is_dir():
         pytest.skip("the benchmark capture is absent; name its folder in CHONA_HOIBENCH")
     return folder
+
+
+@pytest.fixture
+def often() -> Callable[[int, int], int]:
+    """How many times a fault is tried: ``often(few, many)``; ``many`` with ``make test-faults``."""
+    return lambda few, many: many if os.environ.get("CHONA_FAULTS") == "all" else few
