@@ -69,7 +69,9 @@ def _clear_untrained(result: GridModel, model: GridModel) -> None:
     result.field.pose_in.weight[:, never] = 0.0
     for index in range(len(model.persons)):
         if result.shape.offset_rank:
-            result.volume(index).offset_mix[0].weight[:, never] = 0.0
+            into = result.volume(index).offset_mix[0]
+            assert isinstance(into, nn.Linear)
+            into.weight[:, never] = 0.0
 
 
 def _codes(known: Tensor, before: int, count: int) -> nn.Parameter:

@@ -30,7 +30,7 @@ def write_report(out: Path, name: str, table: Table, results: Results, protocol:
         "machine": machine(), "rows": _rows(table, results),
     }  # fmt: skip
     write_bytes(out / f"{name}.json", json.dumps(content, indent=1).encode())
-    write_bytes(out / f"{name}.md", to_markdown(table, results, protocol).encode())
+    write_bytes(out / f"{name}.md", to_markdown(content).encode())
 
 
 def _rows(table: Table, results: Results) -> dict[str, Any]:
@@ -38,29 +38,38 @@ def _rows(table: Table, results: Results) -> dict[str, Any]:
     for row, words in table.rows.items():
         tests = {}
         for test, column in table.tests.items():
-            made = results.get((row, column), {}).get("tests", {}).get(test)
+            cell = results.get((row, column), {})
+            made = cell.get("tests", {}).get(test)
             paper = words.paper.get(test)
             tests[test] = {
-                "psnr": made and made["psnr"], "ssim": made and made["ssim"], "views": made and made["views"],
+                "psnr": made and made["psnr"], "ssim": made and made["ssim"], "psnr_box": made and made["psnr_box"],
+                "ssim_box": made and made["ssim_box"], "views": made and made["views"], "steps": cell.get("steps"),
                 "paper_psnr": paper and paper[0], "paper_ssim": paper and paper[1],
             }  # fmt: skip
         rows[row] = {"label": words.label, "tests": tests}
     return rows
 
 
-def to_markdown(table: Table, results: Results, protocol: Protocol) -> str:
-    """The table in Markdown: PSNR and SSIM made here, in brackets the paper's; – where a cell was not made."""
-    budget = f"{protocol.minutes:g} minutes" if protocol.steps is None else f"{protocol.steps} steps"
-    dry = f", {protocol.frames} frames of every identity (dry run)" if protocol.frames is not None else ""
+def to_markdown(content: Mapping[str, Any]) -> str:
+    """The table in Markdown: PSNR and SSIM made here, in brackets the paper's; – where a cell was not made.
+
+    Args:
+        content: what ``NAME.json`` holds.
+    """
+    protocol, rows = content["protocol"], content["rows"]
+    steps, frames = protocol["steps"], protocol["frames"]
+    budget = f"{protocol['minutes']:g} minutes" if steps is None else f"{steps} steps"
+    dry = f", {frames} frames of every identity (dry run)" if frames is not None else ""
+    tests = list(next(iter(rows.values()))["tests"])
     lines = [
-        f"# {table.title}", "",
-        f"{table.source}. Every cell: {budget} of training, preset {protocol.preset}, images x "
-        f"{protocol.image_scale:g}, rendered with {protocol.quality}, seed {protocol.seed}{dry}. "
+        f"# {content['title']}", "",
+        f"{content['source']}. Every cell: {budget} of training, preset {protocol['preset']}, images x "
+        f"{protocol['image_scale']:g}, rendered with {protocol['quality']}, seed {protocol['seed']}{dry}. "
         "In brackets: the paper's figures, on the real data.", "",
-        "| | " + " | ".join(table.tests) + " | mean |",
-        "|---|" + "---|" * (len(table.tests) + 1),
+        "| | " + " | ".join(tests) + " | mean |",
+        "|---|" + "---|" * (len(tests) + 1),
     ]  # fmt: skip
-    for row, words in _rows(table, results).items():
+    for row, words in rows.items():
         cells, figures = [], []
         for test in words["tests"].values():
             ours = "–" if test["psnr"] is None else f"{test['psnr']:.2f} / {test['ssim']:.4f}"

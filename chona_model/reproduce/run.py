@@ -31,7 +31,8 @@ class Reproduction:
         table: its name; rows, columns: some of them, all when None.
         data: the folder that holds the data sets; body_model_dir: SMPL files.
         out: folder for cells and tables.
-        devices: ``cpu``, ``cuda``, or ``cuda:0`` and so on; with several, that many cells are made at once.
+        devices: ``cpu``, ``cuda``, or ``cuda:0`` and so on; with several, that many cells are made at once; the same
+            one may be named twice.
     """
 
     table: str
@@ -124,23 +125,23 @@ class _Part(Progress):
 def _side_by_side(
     waiting: Sequence[Cell], task: Reproduction, arguments: Sequence[str], progress: Progress, tabulate: Any
 ) -> None:
-    """A process for every cell, one a device at a time; each makes its cell as a single run would."""
+    """A process for every cell, one on each of the devices at a time; each makes its cell as a single run would."""
     queue = list(waiting)
-    running: dict[str, tuple[Cell, subprocess.Popen[bytes]]] = {}
+    running: dict[int, tuple[Cell, subprocess.Popen[bytes]]] = {}
     failed: list[str] = []
     while queue or running:
-        for device in task.devices:
-            if device not in running and queue and not progress.cancelled_by_user and not failed:
+        for place, device in enumerate(task.devices):
+            if place not in running and queue and not progress.cancelled_by_user and not failed:
                 cell = queue.pop(0)
-                running[device] = cell, _start(cell, device, arguments, task)
+                running[place] = cell, _start(cell, device, arguments, task)
         if progress.cancelled_by_user or failed:
             queue.clear()
             for _, process in running.values():
                 process.terminate()
-        for device, (cell, process) in list(running.items()):
+        for place, (cell, process) in list(running.items()):
             if process.poll() is None:
                 continue
-            del running[device]
+            del running[place]
             if process.returncode != 0 and not progress.cancelled_by_user:
                 log = task.out / task.table / CELLS / f"{cell.slug}.log"
                 failed.append(f"the cell {cell.slug} failed with exit code {process.returncode}; {log} says why")

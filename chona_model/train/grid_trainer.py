@@ -95,7 +95,8 @@ class GridTrainer:
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
         images = [list(zip(group.views, group.pixels, strict=True)) for group in self.groups]
         carve_hull(self.model, self.posed, images, self.parts)
-        empty = [part.name for part, count in self._occupied() if count == 0]
+        counts = [len(self.model.occupancy.occupied(part)) for part in self.parts]
+        empty = [part.name for part, count in zip(self._learned(), counts, strict=True) if count == 0]
         if empty:
             raise DatasetError(
                 f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check "
@@ -115,9 +116,10 @@ class GridTrainer:
             for index, person in enumerate(self.model.persons)
         ]
 
-    def _occupied(self) -> list[tuple[Person | ObjectShape, int]]:
+    def _learned(self) -> list[Person | ObjectShape]:
+        """What ``parts`` are."""
         identities: list[Person | ObjectShape] = [*self.model.persons, *self.model.objects]
-        return [(identities[part], len(self.model.occupancy.occupied(part))) for part in self.parts]
+        return [identities[part] for part in self.parts]
 
     def _rebuild(self) -> None:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
@@ -282,7 +284,7 @@ class GridTrainer:
             torch.zeros(len(points), dtype=torch.int64, device=pair.device),
         ).float().cpu()  # fmt: skip
         if not bool(torch.isfinite(density).all()):
-            name = [*self.model.persons, *self.model.objects][part].name
+            name = self._learned()[self.parts.index(part)].name
             raise TrainingError(density_not_finite(name, self.rates))
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))

@@ -68,8 +68,8 @@ def carve_hull(
         kept = (seen > 0) & (inside >= share * seen) & (own >= OWN_SHARE * seen)
         occupancy.part(part)[:] = 0.0
         occupancy.part(part)[cells[kept]] = UNKNOWN_DENSITY
-        own = slice(occupancy.first[part], occupancy.first[part + 1])
-        occupancy.support[own] = occupancy.densities[own] > 0
+        whole = slice(occupancy.first[part], occupancy.first[part + 1])
+        occupancy.support[whole] = occupancy.densities[whole] > 0
 
 
 def _near_body(model: GridModel, person: int, centres: np.ndarray) -> np.ndarray:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from tiny_behave import write_behave
 
 from chona_model.data.dataset import DatasetError, Person, Pose
 from chona_model.formats.model_file import read_header
@@ -20,6 +23,40 @@ from chona_model.reproduce.run import Reproduction, reproduce
 from chona_model.reproduce.sources import open_cell
 from chona_model.reproduce.tables import TableError, cells_of, find_table, read_tables
 from chona_model.skeleton import SMPL, forward_kinematics
+
+NOVEL_POSE = """
+    backpack | Date01_Sub01_backpack_hug Date01_Sub01_backpack_back | Date01_Sub01_backpack_hand
+    chairwood | Date01_Sub01_chairwood_hand Date01_Sub01_chairwood_sit | Date01_Sub01_chairwood_lift
+    chairblack | Date01_Sub01_chairblack_lift Date01_Sub01_chairblack_hand | Date01_Sub01_chairblack_sit
+    suitcase | Date01_Sub01_suitcase_lift | Date01_Sub01_suitcase
+    tablesmall | Date01_Sub01_tablesmall_lift Date01_Sub01_tablesmall_move | Date01_Sub01_tablesmall_lean
+    tablesquare | Date01_Sub01_tablesquare_hand Date01_Sub01_tablesquare_lift | Date01_Sub01_tablesquare_sit
+    yogaball | Date01_Sub01_yogaball | Date01_Sub01_yogaball_play
+"""
+"""Table 6 of the paper's appendix: object, training, validation."""
+
+COMPOSITIONAL = {
+    "train": """
+        Sub01_chairwood_hand Sub01_chairwood_lift Sub01_tablesmall_lean Sub01_tablesmall_lift
+        Sub01_yogaball_play Sub02_boxmedium_hand Sub02_boxsmall_hand Sub02_chairblack_hand
+        Sub02_chairblack_lift Sub02_suitcase_ground Sub02_tablesquare_sit Sub02_tablesquare_lift
+        Sub01_boxlarge_hand
+    """,
+    "novel action": """
+        Sub01_yogaball Sub02_suitcase_lift Sub01_chairwood_sit Sub02_chairblack_sit Sub01_tablesmall_move
+        Sub02_tablesquare_move Sub01_suitcase
+    """,
+    "novel object": """
+        Sub01_chairblack_sit Sub02_chairwood_sit Sub01_suitcase_lift Sub02_yogaball_sit
+        Sub02_tablesmall_move Sub01_tablesquare_hand
+    """,
+    "novel action-object": """
+        Sub01_chairblack_hand Sub01_chairblack_lift Sub02_chairwood_hand Sub02_yogaball_play
+        Sub02_tablesmall_lean Sub02_tablesmall_lift Sub01_tablesquare_sit Sub01_tablesquare_lift
+        Sub02_boxlarge_hand Sub01_boxmedium_hand Sub01_boxsmall_hand
+    """,
+}
+"""Table 7 of the appendix, which names no dates."""
 
 DRY = Protocol(minutes=None, steps=3, image_scale=0.125, quality="draft", frames=1)
 
@@ -43,6 +80,25 @@ def test_tables_hold_the_papers_splits_and_figures() -> None:
         assert set(table.rows) <= set(METHODS)
         for words in table.rows.values():
             assert set(words.paper) <= set(table.tests)
+
+
+def test_splits_are_the_appendix_s_name_by_name() -> None:
+    columns = find_table("novel-pose").columns
+    assert len(NOVEL_POSE.split("\n")) - 2 == len(columns)
+    for line in NOVEL_POSE.strip().split("\n"):
+        name, train, validation = (part.split() for part in line.split("|"))
+        column = columns[name[0]]
+        assert [source.removeprefix("behave/") for source in column.train] == train
+        assert [[source.removeprefix("behave/") for source in test] for test in column.tests.values()] == [validation]
+    column = find_table("compositional").columns["all"]
+    named = {"train": column.train, **column.tests}
+    assert list(named) == list(COMPOSITIONAL)
+    for part, words in COMPOSITIONAL.items():
+        # The first person was captured on the first date, the second on the second.
+        assert [f"behave/Date{name[3:5]}_{name}" for name in words.split()] == list(named[part])
+    trained = find_table("novel-person").columns["386-and-bowl"].train
+    assert trained == (*column.train, "zju_mocap/CoreView_386", "co3d/bowl")
+    assert find_table("boxes").columns.keys() == {"boxlarge", "boxmedium", "boxsmall", "boxtiny"}
 
 
 @pytest.mark.parametrize(
@@ -99,6 +155,25 @@ def test_a_table_is_made_cell_by_cell_and_continued(hoibench: Path, tmp_path: Pa
     other = Protocol(minutes=None, steps=4, image_scale=0.125, quality="draft", frames=1)
     with pytest.raises(TableError, match=r"made by another protocol .steps was 3, is 4.; give the same one"):
         reproduce(task, other, Progress(), [])
+
+
+def test_a_dry_run_of_a_whole_table_on_two_devices(tmp_path: Path) -> None:
+    """As a user runs it, on two frames of every identity; the command's promise is two minutes."""
+    column = find_table("static-object").columns["chairwood"]
+    sources = {source for part in (column.train, *column.tests.values()) for source in part}
+    write_behave(tmp_path / "data", sorted({source.split("/")[1] for source in sources}))
+    words = ["reproduce", "static-object", "--data", tmp_path / "data", "--out", tmp_path / "out", "--dry-run"]
+    command = [sys.executable, "-m", "chona_model", *map(str, words), "--devices", "cpu,cpu", "--progress", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    logs = [file.read_text() for file in (tmp_path / "out").glob("*/cells/*.log")]
+    assert done.returncode == 0, [done.stderr, *logs]
+    folder = tmp_path / "out" / "static-object"
+    table = json.loads((folder / "static-object.json").read_text())
+    assert list(table["rows"]) == ["joint-no-cil", "joint", "no-cil", "chona"]
+    assert all(test["psnr"] > 0 for row in table["rows"].values() for test in row["tests"].values())
+    with Image.open(folder / "static-object.png") as picture:
+        assert picture.size == (2 * 256, 18 + 5 * (256 + 18))
+    assert json.loads(done.stdout.splitlines()[-1])["cells"] == 4
 
 
 def test_missing_data_are_named(tmp_path: Path) -> None:

@@ -10,28 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-
-from chona_model.skeleton import SMPL, SMPL_PARENTS
+from tiny_behave import write_body_model
 
 SEQUENCE = "Date01_Sub01_crate_lift"
 CENTRE = np.array([0.3, -0.2, 0.1])
 FX, CX, CY = 40.0, 15.5, 11.5
-
-
-def write_body_model(folder: Path, name: str = "SMPL_male.npz") -> None:
-    """SMPL's joints in a row of small tetrahedra, one a bone."""
-    folder.mkdir(parents=True, exist_ok=True)
-    joints = np.random.default_rng(3).normal(size=(24, 3)) * 0.3
-    corner = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.02
-    vertices = (joints[:, None] + corner).reshape(-1, 3)
-    weights = np.repeat(np.eye(24), 4, axis=0)
-    faces = np.concatenate([np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]) + 4 * bone for bone in range(24)])
-    parents = np.array(SMPL_PARENTS, dtype=np.int64)
-    np.savez(
-        folder / name,
-        v_template=vertices, f=faces, J_regressor=weights.T / 4, weights=weights, shapedirs=np.zeros((96, 3, 2)),
-        kintree_table=np.stack([parents, np.arange(len(SMPL))]).astype(np.uint32).astype(np.int64),
-    )  # fmt: skip
 
 
 def _write_fit(frame: Path, pose: np.ndarray | None = None) -> None:
