@@ -12,7 +12,7 @@ from .bake_frames import CUSTOM
 from .errors import ChonaError
 from .frames import parse_frames
 
-PATH_OPTIONS = {"model", "out", "data", "run_folder", "capture_folder"}
+PATH_OPTIONS = {"model", "out", "data", "run_folder", "add_to", "capture_folder"}
 CAPTURE_OPTIONS = tuple(
     f"capture_{name}"
     for name in (
@@ -59,6 +59,9 @@ def apply(scene: bpy.types.Scene, arguments: argparse.Namespace) -> None:
         ("format", "data_format"),
         ("sequences", "sequences"),
         ("run_folder", "run_folder"),
+        ("object_size", "object_size"),
+        ("add_to", "base_model"),
+        ("who", "identities"),
         ("method", "train_preset"),
         ("minutes", "minutes"),
         ("steps", "train_steps"),

@@ -16,6 +16,8 @@ FORMATS = (
     ("transforms", "transforms.json", "Images and cameras as NeRF tools write them"),
     ("blender", "Blender capture", "A folder that Capture in this add-on wrote"),
 )
+SCANS = {"co3d", "transforms"}
+"""Formats of objects without a scale of their own."""
 TRAIN_PRESETS = (
     ("fast", "Fast", "Grid encodings and small networks: minutes on a processor"),
     ("paper", "Paper", "The networks of the paper: hours on a graphics card"),
@@ -53,6 +55,26 @@ class TrainSettings:
         subtype="DIR_PATH",
         options=RELATIVE_PATH,
         default="//chona_model/",
+    )
+    object_size: bpy.props.FloatProperty(  # type: ignore[valid-type]
+        name="Object Size",
+        description="Longest side of the scanned objects, which have no scale of their own",
+        default=0.5,
+        min=0.001,
+        soft_max=10.0,
+        subtype="DISTANCE",
+        unit="LENGTH",
+    )
+    base_model: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Add To",
+        description="A model that stays as it is: its copy in the result folder gets persons and objects of the data "
+        "that are seen alone there. Empty to train a new one",
+        subtype="FILE_PATH",
+        options=RELATIVE_PATH,
+    )
+    identities: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Who",
+        description="Names of the persons and objects to add, with commas between; SCAN=Bowl gives SCAN the name Bowl",
     )
     train_preset: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Method",

@@ -10,6 +10,7 @@ import bpy
 from . import actions, jobs, train_rows
 from .errors import ChonaError
 from .train_job import TrainJob
+from .train_properties import SCANS
 from .train_rows import CANCELLED, FAILED, PAUSED, RUNNING, WAITING, CHONA_PG_training
 from .train_view import MODEL
 from .worker import chona_command
@@ -32,6 +33,7 @@ def add(scene: bpy.types.Scene) -> CHONA_PG_training:
     """
     settings = scene.chona
     data = actions.data_folder(scene, "Train")
+    base, identities = _added_to(settings)
     run = actions.writable_folder(settings.run_folder, "result folder")
     list_ = train_rows.trainings()
     for index, row in reversed(list(enumerate(list_.rows))):
@@ -48,11 +50,26 @@ def add(scene: bpy.types.Scene) -> CHONA_PG_training:
     row.data_folder, row.run_folder, row.data_format = str(data), str(run), settings.data_format
     row.sequences, row.method = ",".join(actions.listed(settings.sequences)), settings.train_preset
     row.minutes, row.steps, row.resume = settings.minutes, settings.train_steps, settings.resume
-    row.preview = settings.preview_every
+    row.preview, row.object_size = settings.preview_every, settings.object_size
+    row.base, row.identities = str(base or ""), ",".join(identities)
     _Queue.held = False
     if not any(each.state == RUNNING for each in list_.rows):  # its curves stay in view
         train_rows.select(row.key)
     return row
+
+
+def _added_to(settings: bpy.types.PropertyGroup) -> tuple[Path | None, list[str]]:
+    """The model that is added to and what is added; (None, []) for a training of its own."""
+    if not settings.base_model:
+        return None, []
+    base, identities = actions.absolute(settings.base_model), actions.listed(settings.identities)
+    if not base.is_file():
+        raise ChonaError(f"there is no model {base} to add to; choose one under Add To, or empty it to train a new one")
+    if not identities:
+        raise ChonaError(
+            f"nothing is named that {base.name} is to get; write the names under Who, as Check Data has them"
+        )
+    return base, identities
 
 
 def _state_words(state: str) -> str:
@@ -94,8 +111,13 @@ def _command(row: CHONA_PG_training) -> list[str]:
     if not Path(row.data_folder).is_dir():
         raise ChonaError(f"there is no data folder {row.data_folder} any more; remove this training, and add it again")
     actions.writable_folder(row.run_folder, "result folder")
-    arguments = ["train", "--data", row.data_folder, "--format", row.data_format, "--out", row.run_folder]
-    arguments += ["--preset", row.method, *actions.device()]
+    sources = ["--data", row.data_folder, "--format", row.data_format]
+    if row.data_format in SCANS:
+        sources += ["--object-size", f"{row.object_size:g}"]
+    arguments = ["train", "--preset", row.method]
+    if row.base:
+        arguments = ["add", "--model", row.base, "--identity", row.identities]
+    arguments += [*sources, "--out", row.run_folder, *actions.device()]
     arguments += ["--steps", str(row.steps)] if row.steps else ["--minutes", f"{row.minutes:g}"]
     if row.sequences:
         arguments += ["--sequences", row.sequences]

@@ -21,7 +21,10 @@ STATES = (
     (FAILED, "Failed", "Ended with an error", "ERROR", 4),
     (CANCELLED, "Cancelled", "Stopped by the user; its checkpoint stays, and Resume goes on from it", "X", 5),
 )
-SETTINGS = ("data_folder", "data_format", "sequences", "run_folder", "method", "minutes", "steps", "preview", "resume")
+SETTINGS = (
+    "data_folder", "data_format", "sequences", "run_folder", "base", "identities", "object_size", "method", "minutes",
+    "steps", "preview", "resume",
+)  # fmt: skip
 SAVED = ("key", "name", "state", "share", "words", *SETTINGS)
 
 
@@ -37,6 +40,9 @@ class CHONA_PG_training(bpy.types.PropertyGroup):
     data_format: bpy.props.StringProperty(name="Format", description="Layout of the data folder")  # type: ignore[valid-type]
     sequences: bpy.props.StringProperty(name="Sequences", description="With commas; empty for all")  # type: ignore[valid-type]
     run_folder: bpy.props.StringProperty(name="Result", description="Folder of the model")  # type: ignore[valid-type]
+    base: bpy.props.StringProperty(name="Add To", description="Model that is added to; or empty")  # type: ignore[valid-type]
+    identities: bpy.props.StringProperty(name="Who", description="What is added to it, with commas")  # type: ignore[valid-type]
+    object_size: bpy.props.FloatProperty(name="Object Size", description="Of scans, metres")  # type: ignore[valid-type]
     method: bpy.props.StringProperty(name="Method", description="Which networks are trained")  # type: ignore[valid-type]
     minutes: bpy.props.FloatProperty(name="Time", description="How long, in minutes")  # type: ignore[valid-type]
     steps: bpy.props.IntProperty(name="Steps", description="How many; 0 goes by the time")  # type: ignore[valid-type]

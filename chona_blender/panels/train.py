@@ -6,6 +6,7 @@ import bpy
 
 from .. import jobs, pictures, train_data, train_rows
 from ..train_job import TrainJob
+from ..train_properties import SCANS
 from ..train_rows import CHONA_PG_training
 from ..train_view import PICTURE
 from .sidebar import Sidebar, wrapped
@@ -37,8 +38,15 @@ class CHONA_PT_train(Sidebar, bpy.types.Panel):
         self._draw_headline(context)
         column = self.columns()
         column.prop(settings, "sequences")
+        if settings.data_format in SCANS:
+            column.prop(settings, "object_size")
+        column.prop(settings, "base_model")
+        if settings.base_model:
+            column.prop(settings, "identities")
         column.prop(settings, "run_folder")
-        column.prop(settings, "train_preset")
+        row = column.row()
+        row.active = not settings.base_model
+        row.prop(settings, "train_preset")
         part = column.column(align=True)
         row = part.row()
         row.active = settings.train_steps == 0

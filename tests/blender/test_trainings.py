@@ -85,6 +85,19 @@ def test_saved_lists(answer: dict) -> None:
     assert answer["damaged"] == []
 
 
+def test_persons_and_objects_are_added_to_a_model(ran: tuple[Path, dict]) -> None:
+    from chona_model.formats.model_file import read_header
+
+    folder, answer = ran
+    assert "there is no model" in answer["no base"] and "choose one under Add To" in answer["no base"]
+    assert "write the names under Who" in answer["nobody"]
+    assert answer["added"] == [["FINISHED"], "DONE"]
+    header = read_header(folder / "added" / "model.safetensors")
+    assert list(header.persons) == ["Sub01", "Ann"] and list(header.objects) == ["box01", "Crate"]
+    one, added = ((folder / name / "model.safetensors").read_bytes() for name in ("one", "added"))
+    assert len(added) > 1.5 * len(one)
+
+
 def test_the_picture_is_there(answer: dict) -> None:
     shape, contrast = answer["picture"]
     assert shape == [360, 360, 3] and contrast > 0.5

@@ -124,6 +124,16 @@ train_rows.from_text('[{"key": 1}, {"state": "NONSENSE"}, 3]')
 answer["damaged"] = states()
 train_rows.from_text("{")
 
+scene_settings().base_model, scene_settings().identities = str(Path(folder) / "none.safetensors"), ""
+answer["no base"] = error_of(lambda: add("added"))
+scene_settings().base_model = str(Path(folder) / "one" / "model.safetensors")
+answer["nobody"] = error_of(lambda: add("added"))
+scene_settings().identities = "Sub01=Ann, box01=Crate"
+add("added")
+answer["added"] = [list(bpy.ops.chona.run_trainings()), [row.state for row in train_rows.rows()][-1]]
+train_rows.from_text("{")
+scene_settings().base_model = ""
+
 scene_settings().data_folder, scene_settings().data_format = capture, "auto"
 answer["checked"] = list(bpy.ops.chona.check_data())
 found, shown = train_data.found(bpy.context.scene), train_data.shown_sheet(bpy.context.scene)
