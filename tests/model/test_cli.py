@@ -100,6 +100,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["train", "--data", "d", "--sequences", "a", "--split", "f:k", "--out", "o"], ["--sequences", "--split"]),
         (["train", "--data", "d", "--format", "auto", "--format", "auto", "--out", "o"], ["--format", "twice"]),
         (["train", "--data", "nowhere", "--out", "o"], ["nowhere"]),
+        (["add", "--model", "m", "--data", "d", "--out", "o"], ["--identity", "chona add --help"]),
         (["info", "nowhere.safetensors"], ["nowhere.safetensors", "chona train"]),
         (["check-data", "nowhere"], ["nowhere"]),
     ],
@@ -347,6 +348,36 @@ def test_train_reports_in_json(work: Path, tmp_path: Path) -> None:
     assert (start["event"], start["job"], start["total"]) == ("start", "train", 2)
     assert all({"done", "total", "seconds", "eta", "loss", "psnr"} <= event.keys() for event in between) and between
     assert end["event"] == "result" and Path(end["model"]) == tmp_path / "model.safetensors"
+
+
+@pytest.mark.parametrize(
+    ("identity", "words"),
+    [
+        ("Sub01=", ["'Sub01='", "NAME or NAME=NEW"]),
+        ("Sub01=A,box01=A", ["'box01=A'", "two by one name"]),
+        ("Sub01", ["holds 'Sub01' already", "--identity Sub01=NEW"]),
+        ("Sub09=A", ["no 'Sub09' in the data", "Sub01, box01"]),
+        ("Sub01=A", ["no view shows 'Sub01' without box01"]),
+    ],
+)
+def test_what_cannot_be_added(work: Path, tmp_path: Path, identity: str, words: list[str]) -> None:
+    model, capture = work / "run" / "model.safetensors", work / "capture"
+    given = ["--model", str(model), "--data", str(capture), "--identity", identity, "--out", str(tmp_path / "out")]
+    refused(chona("add", *given, cwd=tmp_path), words)
+    assert not (tmp_path / "out" / "model.safetensors").exists()
+
+
+def test_a_person_and_an_object_are_added(work: Path, tmp_path: Path) -> None:
+    model, capture = work / "run" / "model.safetensors", work / "capture"
+    given = ["--model", str(model), "--data", str(capture), "--identity", "Sub01=Ann,box01=Crate", "--steps", "2"]
+    done = chona("add", *given, "--out", str(tmp_path), "--progress", "json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert events_of(done.stdout)[-1]["model"] == str(tmp_path / "model.safetensors")
+    told = chona("info", str(tmp_path / "model.safetensors"), "--json", cwd=tmp_path)
+    assert {"Ann", "Crate", "Sub01", "box01"} <= {
+        *json.loads(told.stdout)["persons"],
+        *json.loads(told.stdout)["objects"],
+    }
 
 
 def test_evaluate(work: Path, tmp_path: Path) -> None:
