@@ -2,7 +2,7 @@
 
 python scripts/draw_added.py MODEL DATA OUT.png SEQUENCE:VIEW[:PERSON[:OBJECT]] …
 
-DATA is in BEHAVE's layout; VIEW counts the sequence's views from 0.  Without PERSON and OBJECT those of the capture act.
+DATA is in BEHAVE's layout; VIEW counts the sequence's views from 0.  Without PERSON and OBJECT the capture's own act.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def main(model: Path, data: Path, out: Path, shots: list[str]) -> None:
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.LANCZOS)
         sheet.paste(image, (place * SIDE + (SIDE - image.width) // 2, (SIDE - image.height) // 2))
     with atomic_path(out) as temporary:
-        sheet.quantize(128).save(temporary, format="PNG", optimize=True)
+        sheet.save(temporary, format="PNG", optimize=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from chona_model.reproduce.tables import read_tables
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, RESULTS, PICTURES = ROOT / "docs" / "results.md", ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
-COLOURS = 128
+COLOURS = 256
 """Of the pictures, so that they are small."""
 
 
