@@ -235,7 +235,7 @@ class GridTrainer:
         if self.method.invariant_codes and (n_persons > 1 or n_objects > 1):
             persons, objects = draw_invariant_codes(
                 persons, objects, torch.from_numpy(part == 1), torch.from_numpy(part == 2),
-                n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index,
+                n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index, background=True,
             )  # fmt: skip
         pairs = torch.cartesian_prod(torch.arange(-1, n_persons), torch.arange(-1, n_objects))
         if self.model.shape.field.own_codes:

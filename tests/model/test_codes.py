@@ -17,7 +17,7 @@ COUNTS = {"n_persons": 4, "n_objects": 3}
 
 def test_only_the_other_code_is_drawn() -> None:
     persons, objects = draw_invariant_codes(PERSONS, OBJECTS, ON_PERSON, ON_OBJECT, **COUNTS, seed=1, step=7)
-    assert torch.equal(persons[:200], PERSONS[:200]) and torch.equal(objects[400:], OBJECTS[400:])
+    assert torch.equal(persons[:400], PERSONS[:400]) and torch.equal(objects[200:], OBJECTS[200:])
     assert not torch.equal(persons[400:], PERSONS[400:]) and not torch.equal(objects[:200], OBJECTS[:200])
     assert set(persons[400:].tolist()) == {0, 1, 2, 3} and set(objects[:200].flatten().tolist()) == {0, 1, 2}
     # Every identity is equally likely: 200 draws of 4 leave each its 50 ± 5 standard deviations.
@@ -25,7 +25,10 @@ def test_only_the_other_code_is_drawn() -> None:
 
 
 def test_a_ray_of_the_background_is_exchanged_as_one_or_the_other() -> None:
-    persons, objects = draw_invariant_codes(PERSONS, OBJECTS, ON_PERSON, ON_OBJECT, **COUNTS, seed=1, step=7)
+    both = PERSONS, OBJECTS, ON_PERSON, ON_OBJECT
+    persons, objects = draw_invariant_codes(*both, **COUNTS, seed=1, step=7, background=True)
+    kept = draw_invariant_codes(*both, **COUNTS, seed=1, step=7)
+    assert torch.equal(persons[400:], kept[0][400:]) and torch.equal(objects[:200], kept[1][:200])
     moved = (persons != PERSONS)[200:400], (objects != OBJECTS).any(dim=1)[200:400]
     assert not (moved[0] & moved[1]).any()
     # Half of 200 rays each; a draw of 4 persons, or of two out of 3 objects, changes 3 of 4 and 8 of 9.
@@ -61,7 +64,7 @@ def test_a_single_identity_stays() -> None:
 def test_absent_identities_are_drawn_or_stay_absent() -> None:
     absent = torch.full((RAYS, 1), -1)
     _, objects = draw_invariant_codes(PERSONS, absent, ON_PERSON, ON_OBJECT, **COUNTS, seed=0, step=0)
-    assert set(objects[:200, 0].tolist()) == {-1, 0, 1, 2} and (objects[400:] == -1).all()
+    assert set(objects[:200, 0].tolist()) == {-1, 0, 1, 2} and (objects[200:] == -1).all()
     persons, objects = draw_invariant_codes(
         PERSONS, absent, ON_PERSON, ON_OBJECT, n_persons=0, n_objects=0, seed=0, step=0
     )

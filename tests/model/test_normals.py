@@ -100,7 +100,11 @@ def test_most_of_what_is_seen_faces_the_camera(scene) -> None:
     _, directions = camera.rays(np.argwhere(picture.alpha > 0.9)[:, ::-1] + 0.5)
     assert picture.normal is not None
     towards = -(directions * unit_normals(picture.normal)[picture.alpha > 0.9]).sum(axis=-1)
-    assert len(towards) > 100 and (towards > 0).mean() > 0.97
+    person = picture.human[picture.alpha > 0.9] > 0.5
+    assert person.sum() > 50 and (towards[person] > 0).all()
+    # The small box is smoothed, too: along its edges normals turn by 45 degrees, and a face seen from its side may
+    # face away.
+    assert (~person).sum() > 50 and (towards[~person] > 0).mean() > 0.8
 
 
 def test_the_stages_face_as_the_kernel_does(scene) -> None:
