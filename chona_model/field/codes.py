@@ -72,10 +72,10 @@ def draw_invariant_codes(
 
     On rays of the person every object index is replaced by a random one, on rays of an object the person's.  Rays of
     the background keep theirs, as in the paper, or are taken for either by lot: where identities have tables of their
-    own and exchanged codes are only ever seen on the person, nothing tells them where it ends, and it grows fat.  In one
-    field for all, the place of another object would be told to be empty.  Present identities are replaced by identities,
-    so with a single one nothing changes.  Absent ones may stay absent: they are drawn from the identities and absence,
-    equally likely, so that a person captured alone also learns to be seen with objects.
+    own and exchanged codes are only ever seen on the person, nothing tells them where it ends, and it grows fat.  In
+    one field for all, the place of another object would be told to be empty.  Present identities are replaced by
+    identities, so with a single one nothing changes.  Absent ones may stay absent: they are drawn from the identities
+    and absence, equally likely, so that a person captured alone also learns to be seen with objects.
 
     Args:
         persons: [R] index or −1; objects: [R, N] index or −1.
