@@ -15,6 +15,8 @@ import numpy as np
 from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
+from chona_model.formats.atomic import WriteError
+from chona_model.formats.claim import claim
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.exr_structure import is_whole
 from chona_model.formats.shot import Shot, ShotError, read_shot
@@ -26,6 +28,10 @@ from chona_model.progress import Progress
 from chona_model.settings import RenderSettings
 from chona_model.shot_models import LoadedModels, ShotModels, find_models
 from chona_model.sight import bones_at_rest, out_of_picture
+
+
+class BakeError(OSError):
+    """A bake that cannot go on: why, what to do, and what is there."""
 
 
 def bake(
@@ -53,7 +59,8 @@ def bake(
         SettingsError: there is no such preset.
         ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
             that it has not, or that comes with a bound.
-        ModelFileError: a model cannot be loaded.  OSError: the folder cannot be written to.
+        ModelFileError: a model cannot be loaded.  FolderBusyError: another process bakes some of these frames into the
+            folder.  ClaimLostError: the folder was removed meanwhile.  WriteError, BakeError: it cannot be written to.
     """
     content = read_shot(shot)
     models = find_models(content, model, shot.parent)
@@ -64,43 +71,54 @@ def bake(
             f"--max-error is {max_error:g}, but it bounds sharp frames and the shot '{content.name}' is blurred; raise "
             "--blur-samples instead, or use --motion-blur off and --depth-of-field off"
         )
-    _check_writable(out)
     began = time.perf_counter()
-    done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
-    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
-    written = skipped = repeated = 0
-    progress.start("bake", len(chosen), unit="frame")
-    for index in chosen:
-        if progress.cancelled_by_user:
-            break
-        path = done.path(index)
-        if (only_missing and is_whole(path)) or done.is_finished(index):
-            skipped += 1
-        else:
-            twin = done.twin(index)
-            if twin is None:
-                source.load()
-            start = time.perf_counter()
-            if twin is not None:
-                layers, _ = read_frame(twin)
-                repeated += 1
+    numbers = [int(content.frames[index]) for index in chosen]
+    with claim(out, f"the shot {content.name}", numbers) as held:
+        done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
+        tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
+        written = skipped = repeated = 0
+        progress.start("bake", len(chosen), unit="frame")
+        for index, number in zip(chosen, numbers, strict=True):
+            if progress.cancelled_by_user:
+                break
+            path = done.path(index)
+            if (only_missing and is_whole(path)) or done.is_finished(index):
+                skipped += 1
             else:
-                layers = source.render(index)
-                headers = models.of_actors
-                # What is out of the picture at the frame's own time may be in it at another.
-                unseen = [] if blurred.motion else out_of_picture(content, index, headers)
-                tally.rendered(unseen, bones_at_rest(content, index, headers))
-            seconds, number = time.perf_counter() - start, int(content.frames[index])
-            more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
-            settled = json.dumps(asdict(settings) | more)
-            write_frame(path, layers, FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number))
-            done.add(index)
-            written += 1
-        progress.update(written + skipped, path.name)
+                twin = done.twin(index)
+                if twin is None:
+                    source.load()
+                start = time.perf_counter()
+                if twin is not None:
+                    layers, _ = read_frame(twin)
+                    repeated += 1
+                else:
+                    layers = source.render(index)
+                    headers = models.of_actors
+                    # What is out of the picture at the frame's own time may be in it at another.
+                    unseen = [] if blurred.motion else out_of_picture(content, index, headers)
+                    tally.rendered(unseen, bones_at_rest(content, index, headers))
+                seconds = time.perf_counter() - start
+                more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
+                settled = json.dumps(asdict(settings) | more)
+                header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
+                held.check()
+                try:
+                    write_frame(path, layers, header)
+                except WriteError as error:
+                    raise BakeError(f"{error}; {_kept(written + skipped, len(chosen))}") from error
+                done.add(index)
+                written += 1
+            progress.update(written + skipped, path.name)
     report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))
     return report
+
+
+def _kept(there: int, wanted: int) -> str:
+    frames = f"{there} frame{'s are' if there != 1 else ' is'} there and whole" if there else "no frame is there yet"
+    return f"{frames}, of {wanted}; the same command goes on with the rest"
 
 
 class FinishedFrames:
@@ -219,15 +237,3 @@ def choose_frames(shot: Shot, frames: Sequence[int] | None) -> list[int]:
             f"({len(place)} frames): choose among them with --frames, or write the shot again"
         )
     return [place[frame] for frame in sorted(set(frames))]
-
-
-def _check_writable(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".chona-write-test"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise OSError(
-            f"cannot write to the output folder {out} ({error.strerror}); choose another with --out"
-        ) from error

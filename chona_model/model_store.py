@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import save_file
 
 from chona_model.actor import Actor
 from chona_model.data.dataset import ObjectShape, Person
-from chona_model.formats.atomic import atomic_path
 from chona_model.formats.model_file import FORMAT, VERSION, ModelFileError, ModelHeader, read_header
+from chona_model.formats.tensor_file import write_tensors
 from chona_model.tensor_reader import IdentityRows, TensorReader
 
 
@@ -36,12 +35,8 @@ def save_actor(path: Path, actor: Actor, method: str, settings: dict[str, Any], 
         "training": training,
         "shape": actor.shape(),
     }
-    with atomic_path(path) as temporary:
-        save_file(
-            {name: tensor.detach().cpu().contiguous() for name, tensor in actor.tensors().items()},
-            temporary,
-            metadata={"chona": json.dumps(content)},
-        )
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in actor.tensors().items()}
+    write_tensors(path, tensors, {"chona": json.dumps(content)})
 
 
 @dataclass(frozen=True)

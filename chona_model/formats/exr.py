@@ -5,6 +5,8 @@ Single-part, with a pass and a channel letter in every name: what every Blender 
 
 from __future__ import annotations
 
+import errno
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +25,8 @@ LAYER = "CHONA"
 EMPTY_DEPTH = 1e10
 """Depth of a pixel that nothing covers, as Blender writes it."""
 HALF_MAX = 65504.0
+PROBE_BYTES = 1 << 20
+"""Written to a folder that did not take a frame, to learn why."""
 CRYPTO_LAYER = f"{LAYER}.CryptoActor"
 """The Cryptomatte, as its channels and the header call it."""
 _MATTES = {"human": "Human", "object": "Object", "confidence": "Confidence"}
@@ -94,7 +98,7 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
 
     Raises:
         ExrError: shapes differ or a value is not finite.
-        OSError: the disk is full or the folder cannot be written to.
+        WriteError: the disk is full or the folder cannot be written to.
     """
     _check_layers(layers)
     # OpenEXR writes zeros, without a word, of arrays that are not contiguous.
@@ -130,8 +134,22 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         try:
             OpenEXR.File(attributes, channels).write(str(temporary))
         except (RuntimeError, ValueError) as error:
-            raise OSError(f"cannot write {path}: {error}; check the disk's space and the folder's rights") from error
-        check_exr(temporary)  # a full disk must not leave a frame that counts as finished
+            raise _cause(path.parent, error) from error
+        try:
+            check_exr(temporary)  # a full disk must not leave a frame that counts as finished
+        except ExrError as error:
+            raise _cause(path.parent, error) from error
+
+
+def _cause(folder: Path, error: Exception) -> OSError:
+    """Why a frame was not written: OpenEXR does not say."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(bytes(PROBE_BYTES))
+            probe.flush()
+    except OSError as reason:
+        return reason
+    return OSError(errno.EIO, str(error))
 
 
 def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from chona_model.formats.atomic import write_bytes
+from chona_model.formats.atomic import WriteError, write_bytes
 
 NAME = "log.jsonl"
 
@@ -24,6 +24,7 @@ class TrainingLog:
         if done > 0 and path.exists():
             # What was killed had gone on after its checkpoint, and may have left half a line.
             write_bytes(path, "".join(line + "\n" for line in kept_lines(path, done)).encode())
+        self._path = path
         self._file = path.open("a" if done > 0 else "w", encoding="utf-8", buffering=1)
 
     def __enter__(self) -> Self:
@@ -32,11 +33,22 @@ class TrainingLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as problem:  # a full disk was told of already
+            if kind is None:
+                raise WriteError(self._path, problem) from problem
 
     def write(self, step: int, seconds: float, report: dict[str, float]) -> None:
-        """One line: steps done, seconds of training, and the step's report.  It can be read at once."""
-        self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
+        """One line: steps done, seconds of training, and the step's report.  It can be read at once.
+
+        Raises:
+            WriteError: the disk is full.
+        """
+        try:
+            self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
+        except OSError as error:
+            raise WriteError(self._path, error) from error
 
 
 def kept_lines(path: Path, done: int) -> list[str]:
