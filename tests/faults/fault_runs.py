@@ -1,9 +1,4 @@
-"""Trainings and bakes in processes of their own, to be killed, starved and stopped.
-
-Run as a program it is ``chona`` with small trainers that is killed, by itself and with SIGKILL, right before the n-th
-time that it touches a file of a folder: ``python fault_runs.py N FOLDER train --data …``.  Those are the moments in
-which something half done could be taken for whole; a random moment hardly ever meets one.
-"""
+"""Trainings and bakes in processes of their own, to be killed, starved and stopped."""
 
 from __future__ import annotations
 
@@ -20,7 +15,8 @@ TINY_RUNS = Path(__file__).parents[1] / "model" / "train" / "tiny_runs.py"
 ROOT = Path(__file__).parents[2]
 SECONDS = 300
 TOUCHES = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "shutil.rmtree"}
-"""Audit events before which the program may end itself."""
+"""Audit events before which a program may end itself: in those moments something half done could be taken for whole,
+and a random moment hardly ever meets one."""
 
 
 def train_words(capture: Path, run: Path, steps: int, *more: str) -> list[str]:
@@ -69,16 +65,6 @@ def finish(words: list[str]) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def failed(done: subprocess.CompletedProcess[str], *said: str) -> str:
-    """Of a program that must have failed with one line that says all of ``said``; that line."""
-    assert done.returncode == 1, (done.returncode, done.stderr)
-    lines = done.stderr.splitlines()
-    assert len(lines) == 1 and lines[0].startswith("chona: "), done.stderr
-    missing = [words for words in said if words not in lines[0]]
-    assert not missing, (missing, lines[0])
-    return lines[0]
-
-
 def read_until(process: subprocess.Popen[str], *events: str) -> dict[str, Any]:
     """Reads what a program says up to one of these events; the event."""
     assert process.stdout is not None and process.stderr is not None
@@ -100,32 +86,19 @@ def names_in(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def main(words: list[str]) -> int:
-    """The program that ends itself before its n-th touch of a file in a folder."""
-    left, folder = int(words[0]), os.path.realpath(words[1])
+def end_before(touch: int, folder: Path) -> None:
+    """Has this process killed, by itself, before the n-th time from now that it touches a file of a folder."""
+    left, within = touch, os.path.realpath(folder) + os.sep
 
     def count(event: str, arguments: tuple[Any, ...]) -> None:
         nonlocal left
         if event not in TOUCHES or not isinstance(arguments[0], str | Path):
             return
-        if event == "open" and arguments[1] in (None, "r", "rb") and not (arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+        if event == "open" and not (arguments[2] & (os.O_WRONLY | os.O_RDWR)):
             return
-        if os.path.realpath(arguments[0]).startswith(folder + os.sep):
+        if os.path.realpath(arguments[0]).startswith(within):
             left -= 1
             if left == 0:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    for path in (TINY_RUNS.parent, TINY_RUNS.parents[1]):
-        sys.path.insert(0, str(path))
-    import tiny_runs
-
-    import chona_model.train.run as loop
-    from chona_model.cli import main as chona
-
-    loop.make_trainer, loop.LOG_EVERY, loop.CHECKPOINT_SECONDS = tiny_runs.make_small, 1, 0.1
     sys.addaudithook(count)
-    return chona(words[2:])
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
