@@ -16,9 +16,9 @@ from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
 from chona_model.formats.atomic import WriteError
-from chona_model.formats.claim import claim
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.exr_structure import is_whole
+from chona_model.formats.folder_lock import lock_folder
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.formats.shot_blur import lens_arrays, shutter_arrays
 from chona_model.frame import ShotRenderer, matte_names
@@ -60,7 +60,7 @@ def bake(
         ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
             that it has not, or that comes with a bound.
         ModelFileError: a model cannot be loaded.  FolderBusyError: another process bakes some of these frames into the
-            folder.  ClaimLostError: the folder was removed meanwhile.  WriteError, BakeError: it cannot be written to.
+            folder.  FolderLostError: the folder was removed meanwhile.  WriteError, BakeError: it cannot be written to.
     """
     content = read_shot(shot)
     models = find_models(content, model, shot.parent)
@@ -73,7 +73,7 @@ def bake(
         )
     began = time.perf_counter()
     numbers = [int(content.frames[index]) for index in chosen]
-    with claim(out, f"the shot {content.name}", numbers) as held:
+    with lock_folder(out, f"the shot {content.name}", numbers) as held:
         done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
         tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
         written = skipped = repeated = 0

@@ -14,7 +14,7 @@ from PIL import Image
 from chona_model.data.dataset import Dataset, View
 from chona_model.evaluate.run import evaluate
 from chona_model.formats.atomic import atomic_path, write_bytes
-from chona_model.formats.claim import claim
+from chona_model.formats.folder_lock import lock_folder
 from chona_model.model_store import load_actor
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -81,7 +81,7 @@ def make_cell(
         DatasetError, TrainingError, CheckpointError, OSError: as training and evaluation do.  FolderBusyError: another
             process makes this cell.
     """
-    with claim(folder, f"the cell {cell.slug}"):
+    with lock_folder(folder, f"the cell {cell.slug}"):
         return _make_cell(cell, data, folder, protocol, progress, device)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from chona_model.data.dataset import Dataset, DatasetError
 from chona_model.data.renamed import renamed
-from chona_model.formats.claim import claim
+from chona_model.formats.folder_lock import lock_folder
 from chona_model.formats.model_file import ModelFileError, ModelHeader, read_header
 from chona_model.grid_actor import GridActor
 from chona_model.methods import METHODS, method_of
@@ -50,7 +50,7 @@ def add(
     dataset = renamed(_shown_alone(dataset, tuple(names), header), names)
     method = METHODS[header.method]
     model = out / MODEL
-    with claim(out, WHAT) as held:
+    with lock_folder(out, WHAT) as held:
         with repeatable(run.device):
             actor = load_actor(base)
             assert isinstance(actor, GridActor)

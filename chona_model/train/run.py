@@ -12,7 +12,7 @@ from torch import Tensor
 from chona_model.actor import Actor
 from chona_model.data.dataset import Dataset
 from chona_model.formats.atomic import WriteError
-from chona_model.formats.claim import Claim, ClaimLostError, claim
+from chona_model.formats.folder_lock import FolderLock, FolderLostError, lock_folder
 from chona_model.methods import METHODS
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
@@ -30,7 +30,7 @@ CHECKPOINT_SECONDS = 60.0
 LOG_EVERY = 20
 MODEL = "model.safetensors"
 WHAT = "training"
-"""What is claimed in a run's folder."""
+"""What is locked in a run's folder."""
 STOP = "stop"
 """A file of this name in the run's folder ends the training after the step it is in, as SIGTERM does; it is removed.
 Where a program cannot send signals, as on Windows, it stops a training so without losing a step."""
@@ -112,7 +112,7 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
         DatasetError, TrainingError, CheckpointError, OSError.
     """
     model = out / MODEL
-    with claim(out, WHAT) as held:
+    with lock_folder(out, WHAT) as held:
         with repeatable(run.device):
             trainer, settings = make_trainer(dataset, run)
             identity = {"preset": run.preset, "method": run.method}
@@ -123,12 +123,12 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
 
 
 def run_trainer(
-    trainer: Trainer, dataset: Dataset, held: Claim, run: TrainRun, identity: dict[str, Any], progress: Progress
+    trainer: Trainer, dataset: Dataset, held: FolderLock, run: TrainRun, identity: dict[str, Any], progress: Progress
 ) -> tuple[Actor, dict[str, Any]]:
     """Trains until the budget is spent or the user wants an end, with log and checkpoints in a folder.
 
     Args:
-        held: the claim on that folder.
+        held: the lock on that folder.
         identity: what else than seed, image size and data a checkpoint must agree in to be continued.
 
     Returns:
@@ -152,7 +152,7 @@ def run_trainer(
         loop.run(progress)
     except TrainingError as error:
         raise TrainingError(f"{error}; {loop.kept()}") from error
-    except (WriteError, ClaimLostError) as error:
+    except (WriteError, FolderLostError) as error:
         raise NotSavedError(f"{error}; {loop.kept()}") from error
     training = {"steps": loop.done, "seconds": round(loop.spent, 2),
                 "poses": len({(v.sequence, v.frame) for v in dataset.views}), "views": len(dataset.views),
@@ -193,7 +193,7 @@ class _Loop:
     """
 
     def __init__(
-        self, trainer: Trainer, held: Claim, run: TrainRun, identity: dict[str, Any], preview: Preview | None
+        self, trainer: Trainer, held: FolderLock, run: TrainRun, identity: dict[str, Any], preview: Preview | None
     ) -> None:
         out = held.path.parent
         self.trainer, self.held, self.out, self.identity, self.resumes = trainer, held, out, identity, run.resume

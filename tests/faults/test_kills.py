@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FRAMES, STEPS, Scene
 from fault_runs import bake_words, finish, names_in, read_until, start, tensors_of
+from fault_scene import FRAMES, STEPS, Scene
 
 from chona_model.formats.exr import read_frame
 

@@ -1,9 +1,9 @@
-"""Claims: a program that writes into a folder says so there, and a second one that would write the same is refused.
+"""Locks on folders: who writes into one says so there, and a second who would write the same is refused.
 
-A claim is a small file in the folder that names the process.  The process keeps it locked, and the system lets go of
-that lock when the process ends, however it ends: so a claim that can be locked by somebody else is nobody's any more.
-Shared folders may not have locks, or only within a machine.  There the process is looked for by its number and start
-where it is one of this machine's; of another machine's the file's age counts, which its process keeps young.
+A lock is a small file in the folder that names the process.  The process keeps it locked by the system, which lets go
+when the process ends, however it ends: so a file that somebody else can lock is nobody's any more.  Shared folders may
+not have such locks, or only within a machine.  There the process is looked for by its number and start where it is one
+of this machine's; of another machine's the file's age counts, which its process keeps young.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from chona_model.formats.atomic import WriteError, clear_leftovers
 from chona_model.owner import Owner, this_process
 
 BEAT_SECONDS, STALE_SECONDS = 15.0, 120.0
-"""A claim is touched this often; of another machine's, one that was not for so long is nobody's."""
+"""A lock is touched this often; of another machine's, one that was not for so long is nobody's."""
 DOOR_SECONDS = 10.0
-"""Longest time that somebody else may take to make his claim."""
-DOOR, PREFIX, SUFFIX = ".chona-door", ".chona-", ".claim"
+"""Longest time that somebody else may take to make his lock."""
+DOOR, PREFIX, SUFFIX = ".chona-door", ".chona-", ".lock"
 LOCKED_BYTE = 1 << 30
 """Windows locks bytes: one far behind the content, which others shall read."""
 
@@ -37,55 +37,58 @@ class FolderBusyError(OSError):
     """Another process writes what was to be written."""
 
 
-class ClaimLostError(OSError):
+class FolderLostError(OSError):
     """The folder that is written to was removed, or taken over by another process."""
 
 
 @dataclass(frozen=True)
-class Claimant:
+class Holder:
     """Who writes what into a folder.
 
     Attributes:
         owner: the process; since: when it began to, local time to the second, for people.
-        what: ``training``, or ``the shot NAME``: claims on different things do not meet.
+        what: ``training``, or ``the shot NAME``: locks on different things do not meet.
         frames: which frames of a shot; None for all there is.
+        shared: whether others that share may write the same, see ``claims``.
     """
 
     owner: Owner
     since: str
     what: str
     frames: frozenset[int] | None
+    shared: bool = False
 
-    def meets(self, other: Claimant) -> bool:
+    def meets(self, other: Holder) -> bool:
         """Whether both would write the same files."""
-        if self.what != other.what:
+        if self.what != other.what or (self.shared and other.shared):
             return False
         return self.frames is None or other.frames is None or bool(self.frames & other.frames)
 
     def text(self) -> str:
         """As it stands in the file."""
         frames = None if self.frames is None else sorted(self.frames)
-        return json.dumps({**asdict(self.owner), "since": self.since, "what": self.what, "frames": frames})
+        return json.dumps({**asdict(self.owner), "since": self.since, "what": self.what, "frames": frames,
+                           "shared": self.shared})  # fmt: skip
 
 
-def parse_claimant(text: str) -> Claimant | None:
-    """Inverse of ``Claimant.text``; None where it is something else."""
+def parse_holder(text: str) -> Holder | None:
+    """Inverse of ``Holder.text``; None where it is something else."""
     try:
         content = json.loads(text)
         owner = Owner(
             str(content["host"]), str(content["machine"]), int(content["pid"]), str(content["started"])
         )  # fmt: skip
         frames = None if content["frames"] is None else frozenset(map(int, content["frames"]))
-        return Claimant(owner, str(content["since"]), str(content["what"]), frames)
+        return Holder(owner, str(content["since"]), str(content["what"]), frames, bool(content["shared"]))
     except (ValueError, KeyError, TypeError):
         return None
 
 
-class Claim:
-    """A claim that is held."""
+class FolderLock:
+    """A lock that is held."""
 
-    def __init__(self, path: Path, claimant: Claimant) -> None:
-        self.path, self.claimant = path, claimant
+    def __init__(self, path: Path, holder: Holder) -> None:
+        self.path, self.holder = path, holder
         self._ended = threading.Event()
         self._beats = threading.Thread(target=self._beat, daemon=True)
         self._beats.start()
@@ -94,18 +97,18 @@ class Claim:
         """Look before anything is written whether it still belongs here.
 
         Raises:
-            ClaimLostError: the folder was removed, or another process has taken over.
+            FolderLostError: the folder was removed, or another process has taken over.
         """
         if self.path.exists():
             return
         folder = self.path.parent
         if not folder.is_dir():
-            raise ClaimLostError(
-                f"the folder {folder} was removed while {self.claimant.what} was written into it; run the command "
+            raise FolderLostError(
+                f"the folder {folder} was removed while {self.holder.what} was written into it; run the command "
                 "again to begin anew, or bring the folder back first to go on with what was in it"
             )
-        raise ClaimLostError(
-            f"{self.claimant.what} in {folder} was taken over by another process while this one stood still, or its "
+        raise FolderLostError(
+            f"{self.holder.what} in {folder} was taken over by another process while this one stood still, or its "
             f"file {self.path.name} was deleted; nothing more is written: run the command again to go on"
         )
 
@@ -122,29 +125,32 @@ class Claim:
 
 
 @contextmanager
-def claim(folder: Path, what: str, frames: Collection[int] | None = None) -> Iterator[Claim]:
-    """Claims what is written into ``folder`` while the block runs, and clears away what was killed has left there.
+def lock_folder(
+    folder: Path, what: str, frames: Collection[int] | None = None, shared: bool = False
+) -> Iterator[FolderLock]:
+    """Locks what is written into ``folder`` while the block runs, and clears away what was killed has left there.
 
     Args:
-        what: ``training``, or ``the shot NAME``; frames: of a shot, those that are written.
+        what: ``training``, or ``the shot NAME``; frames: of a shot, those that are written; shared: see
+            ``Holder``.
 
     Raises:
         FolderBusyError: another process writes the same.  WriteError: the folder cannot be written to.
     """
     now = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S")
-    claimant = Claimant(this_process(), now, what, None if frames is None else frozenset(frames))
+    holder = Holder(this_process(), now, what, None if frames is None else frozenset(frames), shared)
     path = folder / f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}"
     with contextlib.ExitStack() as stack:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with _door(folder):
-                _refuse_second(folder, claimant)
+                _refuse_second(folder, holder)
                 handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-                held = Claim(path, claimant)
+                held = FolderLock(path, holder)
                 stack.callback(held.release)
                 stack.callback(os.close, handle)
                 _lock(handle)
-                os.write(handle, claimant.text().encode())
+                os.write(handle, holder.text().encode())
                 clear_leftovers(folder, os.fstat(handle).st_mtime)
         except (FolderBusyError, WriteError):
             raise
@@ -153,31 +159,31 @@ def claim(folder: Path, what: str, frames: Collection[int] | None = None) -> Ite
         yield held
 
 
-def _refuse_second(folder: Path, claimant: Claimant) -> None:
-    """Raises FolderBusyError where somebody writes the same; removes claims that are nobody's."""
+def _refuse_second(folder: Path, holder: Holder) -> None:
+    """Raises FolderBusyError where somebody writes the same; removes locks that are nobody's."""
     for path, other, alive in _look(folder):
         if not alive:
             with contextlib.suppress(OSError):
                 path.unlink()
-        elif other is None or claimant.meets(other):
-            raise FolderBusyError(_words(path, other, claimant))
+        elif other is None or holder.meets(other):
+            raise FolderBusyError(_words(path, other, holder))
 
 
-def _words(path: Path, other: Claimant | None, claimant: Claimant) -> str:
-    begin = f"{claimant.what} is being written into {path.parent} already"
+def _words(path: Path, other: Holder | None, holder: Holder) -> str:
+    begin = f"{holder.what} is being written into {path.parent} already"
     end = "wait until it has ended, stop it, or choose another folder"
     if other is None:
         return f"{begin}, by a process that {path.name} does not name; {end}"
     who = f"by process {other.owner.pid} on {other.owner.host} since {other.since}"
     if not other.owner.is_here:
         end += f"; if it does not run any more, this is known after {STALE_SECONDS / 60:.0f} minutes"
-    frames = claimant.frames & other.frames if claimant.frames and other.frames else None
+    frames = holder.frames & other.frames if holder.frames and other.frames else None
     shared = f" ({len(frames)} of the same frames, the first is {min(frames)})" if frames else ""
     return f"{begin}, {who}{shared}; {end}"
 
 
-def _look(folder: Path) -> list[tuple[Path, Claimant | None, bool]]:
-    """Every claim's file, who made it, and whether that process may run still."""
+def _look(folder: Path) -> list[tuple[Path, Holder | None, bool]]:
+    """Every lock's file, who made it, and whether that process may run still."""
     found, now = [], _folder_now(folder)
     for path in sorted(folder.glob(f"{PREFIX}*{SUFFIX}")):
         try:
@@ -185,26 +191,26 @@ def _look(folder: Path) -> list[tuple[Path, Claimant | None, bool]]:
         except OSError:  # it has ended this very moment
             continue
         try:
-            claimant = parse_claimant(os.read(handle, 1 << 22).decode("utf-8", "replace"))
+            holder = parse_holder(os.read(handle, 1 << 22).decode("utf-8", "replace"))
             free, age = _lock(handle), now - os.fstat(handle).st_mtime
         finally:
             os.close(handle)
-        found.append((path, claimant, _may_run(claimant, free, age)))
+        found.append((path, holder, _may_run(holder, free, age)))
     return found
 
 
-def _may_run(claimant: Claimant | None, free: bool | None, age: float) -> bool:
-    """Whether a claim's process may run still.
+def _may_run(holder: Holder | None, free: bool | None, age: float) -> bool:
+    """Whether a lock's process may run still.
 
     Args:
         free: whether nobody has the file locked, None where files cannot be locked; age: of the file, seconds.
     """
     if free is False:
         return True
-    if claimant is None:  # killed before it could say who it is
+    if holder is None:  # killed before it could say who it is
         return free is None and age < STALE_SECONDS
-    if claimant.owner.is_here:
-        return free is None and claimant.owner.is_alive()
+    if holder.owner.is_here:
+        return free is None and holder.owner.is_alive()
     return age < STALE_SECONDS  # another machine's lock may not be seen here
 
 
@@ -216,7 +222,7 @@ def _folder_now(folder: Path) -> float:
 
 @contextmanager
 def _door(folder: Path) -> Iterator[None]:
-    """One at a time looks at the claims and makes his own."""
+    """One at a time looks at the locks and makes his own."""
     path, until = folder / DOOR, time.monotonic() + DOOR_SECONDS
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
