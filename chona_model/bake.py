@@ -77,15 +77,19 @@ def bake(
     def is_there(index: int) -> bool:
         return (only_missing and is_whole(done.path(index))) or done.is_finished(index)
 
-    def make(index: int, is_ours: Callable[[], bool]) -> bool:
+    def make(index: int, confirm: Callable[[], None]) -> None:
         nonlocal repeated
         twin = done.twin(index)
         if twin is None:
             source.load()
         start = time.perf_counter()
         layers = read_frame(twin)[0] if twin is not None else source.render(index)
-        if not is_ours():
-            return False
+        seconds, number = time.perf_counter() - start, int(content.frames[index])
+        more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
+        settled = json.dumps(asdict(settings) | more)
+        header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
+        write_frame(done.path(index), layers, header, confirm)
+        done.add(index)
         if twin is not None:
             repeated += 1
         else:
@@ -93,13 +97,6 @@ def bake(
             # What is out of the picture at the frame's own time may be in it at another.
             unseen = [] if blurred.motion else out_of_picture(content, index, headers)
             tally.rendered(unseen, bones_at_rest(content, index, headers))
-        seconds, number = time.perf_counter() - start, int(content.frames[index])
-        more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
-        settled = json.dumps(asdict(settings) | more)
-        header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
-        write_frame(done.path(index), layers, header)
-        done.add(index)
-        return True
 
     def name_and_key(index: int) -> tuple[str, str]:
         key = "" if only_missing else f"{digest} {done.keys[index]} {','.join(passes.names)}"

@@ -39,10 +39,14 @@ RECORD_BYTES = 1024
 _HELD, _DONE, _FREE = "held", "done", "free"
 
 
+class TakenOver(Exception):
+    """Another process makes it by now: this one gave no sign of life for long."""
+
+
 def each_once(
     items: Iterable[int],
     is_there: Callable[[int], bool],
-    make: Callable[[int, Callable[[], bool]], bool],
+    make: Callable[[int, Callable[[], None]], None],
     stopped: Callable[[], bool],
     claims: Claims | None = None,
     name_and_key: Callable[[int], tuple[str, str]] | None = None,
@@ -53,8 +57,8 @@ def each_once(
 
     Args:
         is_there: whether an item needs not be made.
-        make: makes an item; the second argument says whether it is still this process's to make, and is asked right
-            before the item is put into its place.  False: it was not, and nothing was.
+        make: makes an item; calls its second argument right before it puts the item into its place, which raises
+            ``TakenOver`` where another process makes it by now.
         stopped: asked before every item and while waiting.
         claims: None where nobody else makes any.
         name_and_key: of an item's claim, see ``Claims.take``.
@@ -68,17 +72,21 @@ def each_once(
             if is_there(item):
                 yield item, False
             elif claims is None or name_and_key is None:
-                yield item, make(item, lambda: True)
+                make(item, lambda: None)
+                yield item, True
             elif (claim := claims.take(*name_and_key(item))) is None:
                 later.append(item)
             else:
-                with claim:
-                    made = not is_there(item)  # between the look and the claim somebody may have finished
-                    if made and not make(item, claim.is_ours):
-                        later.append(item)
-                        continue
-                    claim.done()
-                yield item, made
+                try:
+                    with claim:
+                        made = not is_there(item)  # between the look and the claim somebody may have finished
+                        if made:
+                            make(item, claim.confirm)
+                        claim.done()
+                except TakenOver:
+                    later.append(item)
+                else:
+                    yield item, made
         if later and claims is not None:
             claims.wait(stopped)
         waiting = later
@@ -112,6 +120,11 @@ class Claim:
     ) -> None:
         if self.finished is None:
             self._say(_FREE)
+
+    def confirm(self) -> None:
+        """Raises ``TakenOver`` where it is no longer this process's."""
+        if not self.is_ours():
+            raise TakenOver(self._name)
 
     def is_ours(self) -> bool:
         """Whether nobody took it over meanwhile."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 
 @contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, confirm: Callable[[], None] | None = None) -> Iterator[Path]:
     """A temporary path to write to, which becomes ``path`` when the block ends without an exception.
 
     The temporary name starts with a dot and keeps the suffix (writers choose formats by it).  An interrupted block
-    leaves whatever was at ``path`` before.  Folders are made as needed.
+    leaves whatever was at ``path`` before, as does ``confirm``, called last of all, where it raises.  Folders are made
+    as needed.
 
     Raises:
         OSError: the folder cannot be made or written to, or the disk is full.
@@ -26,6 +27,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         with temporary.open("r+b") as file:
             os.fsync(file.fileno())
+        if confirm is not None:
+            confirm()
         temporary.replace(path)
         _sync_folder(path.parent)
     finally:

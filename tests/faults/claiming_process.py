@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from chona_model.claims import Claims, each_once
-from chona_model.formats.atomic import write_bytes
+from chona_model.claims import Claims, TakenOver, each_once
+from chona_model.formats.atomic import atomic_path
 
 OUT, LATE, SECONDS, PATIENCE, COUNT = Path(sys.argv[1]), *map(float, sys.argv[2:5]), int(sys.argv[5])
 
@@ -61,16 +61,17 @@ def is_there(item: int) -> bool:
         return False
 
 
-def make(item: int, is_ours: Callable[[], bool]) -> bool:
+def make(item: int, confirm: Callable[[], None]) -> None:
     log("begun", item)
     time.sleep(SECONDS)
-    if not is_ours():
+    try:
+        with atomic_path(place(item), confirm) as temporary:
+            temporary.write_bytes(b"whole")
+    except TakenOver:
         log("dropped", item)
-        return False
-    write_bytes(place(item), b"whole")
+        raise
     believed.pop(str(place(item)), None)
     log("made", item)
-    return True
 
 
 Path.read_bytes, os.open = read_late, create_and_see  # type: ignore[method-assign, assignment]

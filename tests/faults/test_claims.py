@@ -76,7 +76,7 @@ def test_what_the_killed_held_is_taken_over(tmp_path: Path, late: float, often: 
         chance, out, count = random.Random(turn), tmp_path / str(turn), 40
         with processes(out, 4, late, 0.05, count) as started:
             for one in started[:3]:
-                wait_for(lambda one=one: any(pid == one.pid for _, _, pid in lines(out)))
+                wait_for(lambda out=out, one=one: any(pid == one.pid for _, _, pid in lines(out)))
                 time.sleep(chance.uniform(0.0, 0.3))
                 one.send_signal(signal.SIGKILL)
             assert started[3].wait(60) == 0
@@ -202,5 +202,5 @@ def test_a_user_who_cancels_does_not_wait_for_others(tmp_path: Path) -> None:
     assert other.take("0", "key") is not None
     stopped = iter([False, False, False, True, True, True, True])
     with Claims(tmp_path, 60.0) as claims:
-        left = each_once([0], lambda _: False, lambda *_: True, lambda: next(stopped), claims, lambda _: ("0", "key"))
+        left = each_once([0], lambda _: False, lambda *_: None, lambda: next(stopped), claims, lambda _: ("0", "key"))
         assert list(left) == []
