@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
+from chona_model.claims import Claims, each_once
 from chona_model.formats.atomic import WriteError
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.exr_structure import is_whole
@@ -37,7 +39,7 @@ class BakeError(OSError):
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
     device: str = "cpu", passes: Passes = DEFAULT_PASSES, max_error: float = 0.0,
-    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False,
+    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False, share: float = 0.0,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
@@ -54,6 +56,8 @@ def bake(
         max_error: bound on colour and alpha, see ``adaptive.render_within``; 0 for none.
         blur: motion blur and depth of field.
         only_missing: leave every frame alone that is there and whole, of whatever model, pose and settings.
+        share: others may bake into the same folder at the same time, and no frame is rendered twice; a frame whose
+            process gave no sign of life for so many seconds is taken over.  0: nobody else does.
 
     Raises:
         SettingsError: there is no such preset.
@@ -72,44 +76,54 @@ def bake(
             "--blur-samples instead, or use --motion-blur off and --depth-of-field off"
         )
     began = time.perf_counter()
+    done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
+    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
+    written = skipped = repeated = 0
+
+    def is_there(index: int) -> bool:
+        return (only_missing and is_whole(done.path(index))) or done.is_finished(index)
+
+    def make(index: int, confirm: Callable[[], None]) -> None:
+        nonlocal repeated
+        twin = done.twin(index)
+        if twin is None:
+            source.load()
+        start = time.perf_counter()
+        layers = read_frame(twin)[0] if twin is not None else source.render(index)
+        seconds, number = time.perf_counter() - start, int(content.frames[index])
+        more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
+        settled = json.dumps(asdict(settings) | more)
+        header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
+        held.check()
+        try:
+            write_frame(done.path(index), layers, header, confirm)
+        except WriteError as error:
+            raise BakeError(f"{error}; {_kept(written + skipped, len(chosen))}") from error
+        done.add(index)
+        if twin is not None:
+            repeated += 1
+        else:
+            headers = models.of_actors
+            # What is out of the picture at the frame's own time may be in it at another.
+            unseen = [] if blurred.motion else out_of_picture(content, index, headers)
+            tally.rendered(unseen, bones_at_rest(content, index, headers))
+
+    def name_and_key(index: int) -> tuple[str, str]:
+        key = "" if only_missing else f"{digest} {done.keys[index]} {','.join(passes.names)}"
+        return done.path(index).stem, key
+
+    def stopped() -> bool:
+        return progress.cancelled_by_user
+
     numbers = [int(content.frames[index]) for index in chosen]
-    with lock_folder(out, f"the shot {content.name}", numbers) as held:
-        done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
-        tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
-        written = skipped = repeated = 0
+    with (
+        lock_folder(out, f"the shot {content.name}", numbers, shared=share > 0) as held,
+        Claims(out, share) if share else nullcontext() as claims,
+    ):
         progress.start("bake", len(chosen), unit="frame")
-        for index, number in zip(chosen, numbers, strict=True):
-            if progress.cancelled_by_user:
-                break
-            path = done.path(index)
-            if (only_missing and is_whole(path)) or done.is_finished(index):
-                skipped += 1
-            else:
-                twin = done.twin(index)
-                if twin is None:
-                    source.load()
-                start = time.perf_counter()
-                if twin is not None:
-                    layers, _ = read_frame(twin)
-                    repeated += 1
-                else:
-                    layers = source.render(index)
-                    headers = models.of_actors
-                    # What is out of the picture at the frame's own time may be in it at another.
-                    unseen = [] if blurred.motion else out_of_picture(content, index, headers)
-                    tally.rendered(unseen, bones_at_rest(content, index, headers))
-                seconds = time.perf_counter() - start
-                more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
-                settled = json.dumps(asdict(settings) | more)
-                header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
-                held.check()
-                try:
-                    write_frame(path, layers, header)
-                except WriteError as error:
-                    raise BakeError(f"{error}; {_kept(written + skipped, len(chosen))}") from error
-                done.add(index)
-                written += 1
-            progress.update(written + skipped, path.name)
+        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key):
+            written, skipped = written + made, skipped + (not made)
+            progress.update(written + skipped, done.path(index).name)
     report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))

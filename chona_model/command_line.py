@@ -17,6 +17,8 @@ METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-trans
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
+PATIENCE = 120.0
+"""Seconds: NFS clients show each other's changes up to 60 late."""
 DEVICE_HELP = "what it computes on; auto takes CUDA where there is a card"
 _PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
 
@@ -85,6 +87,11 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     existing.add_argument(
         "--only-missing", action="store_true", help="leave every whole frame as it is, also those that are out of date"
     )
+    bake.add_argument(
+        "--share", type=number(0, 86400, above=True), nargs="?", const=PATIENCE, default=0.0, metavar="SECONDS",
+        help="others bake into DIR at the same time: no frame is rendered twice, and one whose process gave no sign of "
+        f"life for so long is taken over (default: {PATIENCE:g} seconds)",
+    )  # fmt: skip
     for name, words in (("motion-blur", "what moves"), ("depth-of-field", "what is out of focus")):
         bake.add_argument(
             f"--{name}", choices=BLURS, default="shot", help=f"blur {words} (default: shot, as the shot has it)"

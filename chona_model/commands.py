@@ -74,6 +74,11 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     passes = Passes.of(arguments.passes)
+    if arguments.share and arguments.overwrite:
+        raise UsageError(
+            "both --share and --overwrite are given, and each of those who share would bake every frame again; delete "
+            "the frames, or leave one of the two out"
+        )
     find_preset(arguments.preset)  # refused before anything is read
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
@@ -86,7 +91,7 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
         device=device, passes=passes, max_error=arguments.max_error,
         blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
-        only_missing=arguments.only_missing,
+        only_missing=arguments.only_missing, share=arguments.share,
     )  # fmt: skip
     words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
     return finish(progress, words, **report.as_dict())

@@ -19,7 +19,7 @@ FLOORS = (
     ("serve",),
     ("trade", "reproduce"),
     ("bake", "standin", "train", "evaluate", "info", "doctor", "data_report"),
-    ("bake_report", "shot_models"),
+    ("bake_report", "shot_models", "claims"),
     ("frame", "sight"),
     ("blur",),
     ("model_store", "presets"),

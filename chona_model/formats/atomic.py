@@ -8,7 +8,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -42,11 +42,12 @@ class WriteError(OSError):
 
 
 @contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, confirm: Callable[[], None] | None = None) -> Iterator[Path]:
     """A temporary path to write to, which becomes ``path`` when the block ends without an exception.
 
     The temporary name starts with a dot and keeps the suffix (writers choose formats by it); it says which process
-    writes it, see ``clear_leftovers``.  An interrupted block leaves whatever was at ``path`` before.  Folders are made
+    writes it, see ``clear_leftovers``.  An interrupted block leaves whatever was at ``path`` before, as does
+    ``confirm``, called last of all, where it raises.  Folders are made
     as needed.
 
     Raises:
@@ -60,6 +61,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         with temporary.open("r+b") as file:
             os.fsync(file.fileno())
+        if confirm is not None:
+            confirm()
         temporary.replace(path)
         _sync_folder(path.parent)
     except WriteError:

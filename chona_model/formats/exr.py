@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import errno
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,10 +91,15 @@ def frame_name(shot_name: str, frame: int) -> str:
     return f"{shot_name}_{sign}{abs(frame):04d}.exr"
 
 
-def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
+def write_frame(
+    path: Path, layers: FrameLayers, header: FrameHeader, confirm: Callable[[], None] | None = None
+) -> None:
     """Writes one frame whole or not at all, over what was there; passes that are None are not in the file.
 
     Colours beyond half precision's range are limited to it.
+
+    Args:
+        confirm: called right before the frame is put into its place; where it raises, what was there stays.
 
     Raises:
         ExrError: shapes differ or a value is not finite.
@@ -130,7 +135,7 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         _PASSES_ATTRIBUTE: _passes_text(layers.passes),
         **named,
     }
-    with atomic_path(path) as temporary:
+    with atomic_path(path, confirm) as temporary:
         try:
             OpenEXR.File(attributes, channels).write(str(temporary))
         except (RuntimeError, ValueError) as error:
