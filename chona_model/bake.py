@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from chona_model import memory
 from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
@@ -25,6 +26,7 @@ from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.formats.shot_blur import lens_arrays, shutter_arrays
 from chona_model.frame import ShotRenderer, matte_names
 from chona_model.passes import DEFAULT_PASSES, Passes
+from chona_model.picture_memory import tile_within
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
 from chona_model.settings import RenderSettings
@@ -39,7 +41,7 @@ class BakeError(OSError):
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
     device: str = "cpu", passes: Passes = DEFAULT_PASSES, max_error: float = 0.0,
-    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False, share: float = 0.0,
+    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False, share: float = 0.0, max_memory: float | None = None,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
@@ -58,9 +60,10 @@ def bake(
         only_missing: leave every frame alone that is there and whole, of whatever model, pose and settings.
         share: others may bake into the same folder at the same time, and no frame is rendered twice; a frame whose
             process gave no sign of life for so many seconds is taken over.  0: nobody else does.
+        max_memory: of the whole process, GB of 2^30 bytes; None for what there is.
 
     Raises:
-        SettingsError: there is no such preset.
+        SettingsError: there is no such preset, or ``max_memory`` is less than the pictures take.
         ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
             that it has not, or that comes with a bound.
         ModelFileError: a model cannot be loaded.  FolderBusyError: another process bakes some of these frames into the
@@ -77,7 +80,7 @@ def bake(
         )
     began = time.perf_counter()
     done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
-    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
+    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred, max_memory)
     written = skipped = repeated = 0
 
     def is_there(index: int) -> bool:
@@ -100,6 +103,7 @@ def bake(
         except WriteError as error:
             raise BakeError(f"{error}; {_kept(written + skipped, len(chosen))}") from error
         done.add(index)
+        _check_memory(max_memory, done.path(index))
         if twin is not None:
             repeated += 1
         else:
@@ -128,6 +132,15 @@ def bake(
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))
     return report
+
+
+def _check_memory(allowed: float | None, path: Path) -> None:
+    took = memory.highest() or 0
+    if allowed is not None and took > allowed * memory.GIGABYTE:
+        raise BakeError(
+            f"--max-memory is {allowed:g} GB, and {path.name} took {took / memory.GIGABYTE:.2f}; it is kept, and no "
+            "other frame was begun: allow more, or bake a smaller picture, fewer samples or fewer passes"
+        )
 
 
 def _kept(there: int, wanted: int) -> str:
@@ -182,9 +195,10 @@ class _Source:
 
     def __init__(
         self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float,
-        blur: Blur,
+        blur: Blur, max_memory: float | None,
     ) -> None:  # fmt: skip
         self._models, self._shot, self._device, self._blur = models, shot, device, blur
+        self._max_memory = max_memory
         self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
         self._loaded: LoadedModels | None = None
@@ -193,8 +207,12 @@ class _Source:
         """Loads what the shot shows, if that is not done."""
         if self._renderer is None:
             self._loaded = self._models.load(self._shot, self._device)
-            actors = self._loaded.actors
-            self._renderer = ShotRenderer(actors, self._shot, self._settings, self._passes, self._max_error, self._blur)
+            actors, tile = self._loaded.actors, None
+            if self._max_memory is not None:
+                tile = tile_within(self._max_memory, self._shot, self._passes, self._blur != SHARP)
+            self._renderer = ShotRenderer(
+                actors, self._shot, self._settings, self._passes, self._max_error, self._blur, tile
+            )
         return self._renderer
 
     def render(self, index: int) -> FrameLayers:

@@ -45,6 +45,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     def add_progress(command: argparse.ArgumentParser) -> None:
         command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
+        command.add_argument(
+            "--until-closed", action="store_true",
+            help="end when standard input is closed: with the program that started this",
+        )  # fmt: skip
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -81,6 +85,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     bake.add_argument(
         "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
         help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
+    )  # fmt: skip
+    bake.add_argument(
+        "--max-memory", type=number(0, above=True), metavar="GB",
+        help="cut frames so that the whole process takes no more; refused where the pictures alone do",
     )  # fmt: skip
     existing = bake.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
@@ -156,6 +164,14 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     doctor = add("doctor", "check what this computer has for the work")
     doctor.add_argument("--json", action="store_true", help="as JSON")
+    doctor.add_argument(
+        "--bundle", type=Path, metavar="FILE.zip",
+        help="write what a bug report needs: versions, logs, settings; no pictures, no poses, of paths only names",
+    )  # fmt: skip
+    doctor.add_argument(
+        "--about", type=Path, action="append", default=[], metavar="PATH",
+        help="a model, a shot, or the folder of a training or bake, whose logs and headers go along; may be repeated",
+    )  # fmt: skip
 
     demo = add("demo", "make a capture of a character, train it, and bake a shot of it")
     demo.add_argument("--out", type=Path, required=True, metavar="DIR")

@@ -14,6 +14,7 @@ from chona_model.actor import Actor
 from chona_model.data.dataset import ObjectShape, Person
 from chona_model.formats.model_file import FORMAT, VERSION, ModelFileError, ModelHeader, read_header
 from chona_model.formats.tensor_file import write_tensors
+from chona_model.memory import was_short_of_memory
 from chona_model.tensor_reader import IdentityRows, TensorReader
 
 
@@ -102,6 +103,8 @@ def load_with_report(
                     *(name for name in all_objects if name not in things))  # fmt: skip
             return actor, LoadReport(tuple(people), tuple(things), left, dict(tensors.read), tensors.total_bytes)
     except (SafetensorError, KeyError, IndexError, TypeError, RuntimeError) as error:
+        if was_short_of_memory(error):
+            raise MemoryError(str(error)) from error
         raise ModelFileError(f"{path} does not hold the tensors its metadata names ({error}); copy it again") from error
 
 

@@ -10,6 +10,8 @@ from typing import Self
 from chona_model.formats.atomic import WriteError, write_bytes
 
 NAME = "log.jsonl"
+MOST_LINES = 20_000
+"""Some megabytes."""
 
 
 class TrainingLog:
@@ -21,10 +23,11 @@ class TrainingLog:
 
     def __init__(self, run: Path, done: int) -> None:
         path = run / NAME
-        if done > 0 and path.exists():
+        lines = kept_lines(path, done) if done > 0 and path.exists() else []
+        if lines:
             # What was killed had gone on after its checkpoint, and may have left half a line.
-            write_bytes(path, "".join(line + "\n" for line in kept_lines(path, done)).encode())
-        self._path = path
+            write_bytes(path, "".join(line + "\n" for line in lines).encode())
+        self._path, self._lines = path, len(lines)
         self._file = path.open("a" if done > 0 else "w", encoding="utf-8", buffering=1)
 
     def __enter__(self) -> Self:
@@ -46,19 +49,32 @@ class TrainingLog:
             WriteError: the disk is full.
         """
         try:
+            if self._lines >= MOST_LINES:
+                self._thin()
             self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
+            self._lines += 1
+        except WriteError:
+            raise
         except OSError as error:
             raise WriteError(self._path, error) from error
 
+    def _thin(self) -> None:
+        """Drops every second line, so that a curve keeps its shape: the older, the sparser."""
+        lines = kept_lines(self._path, None)[::2]
+        self._file.close()
+        write_bytes(self._path, "".join(line + "\n" for line in lines).encode())
+        self._file = self._path.open("a", encoding="utf-8", buffering=1)
+        self._lines = len(lines)
 
-def kept_lines(path: Path, done: int) -> list[str]:
-    """The log's whole lines of steps up to ``done``, each step once."""
+
+def kept_lines(path: Path, done: int | None) -> list[str]:
+    """The log's whole lines of steps up to ``done``, or of all, each step once."""
     kept: dict[int, str] = {}
     for line in path.read_text("utf-8", errors="replace").splitlines():
         try:
             step = int(json.loads(line)["step"])
         except (ValueError, KeyError, TypeError):
             continue
-        if step <= done:
+        if done is None or step <= done:
             kept.setdefault(step, line)
     return [kept[step] for step in sorted(kept)]

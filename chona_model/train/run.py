@@ -220,8 +220,11 @@ class _Loop:
             began = time.perf_counter() - self.spent
             saved, warm, before = time.perf_counter(), False, self.spent
             while not self._stopped(progress) and self.share < 1.0:
+                continued, spent = progress.cancel.continued, self.spent
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
+                if progress.cancel.continued != continued:
+                    began = time.perf_counter() - spent  # it was stopped, which is no training
                 if not warm:
                     began, warm = time.perf_counter() - before, True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began
