@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import re
+import sys
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -33,7 +34,7 @@ VARIABLES = ("CHONA_", "CUDA_", "NUMBA_", "OMP_", "MKL_", "PYTORCH_")
 LEFT_OUT = ("poses_seen",)
 """Of a model's header: poses are the user's own."""
 _QUOTED = re.compile(r"""(["'])((?:[A-Za-z]:)?(?:(?!\1)[^\n])*[/\\](?:(?!\1)[^\n])*)\1""")
-_PATH = re.compile(r"(?:[A-Za-z]:|~)?(?:[/\\]+[^\s/\\'\",;()\[\]{}]+)+[/\\]?")
+_PATH = re.compile(r"(?<![\w/\\.<])(?:[A-Za-z]:|~)?(?:[/\\]+[^\s/\\'\",;()\[\]{}]+)+[/\\]?")
 
 
 def write_bundle(path: Path, given: Iterable[Path]) -> list[str]:
@@ -50,18 +51,25 @@ def write_bundle(path: Path, given: Iterable[Path]) -> list[str]:
     """
     content, names = io.BytesIO(), []
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in _entries(list(given)):
-            archive.writestr(name, without_secrets(text))
+        wanted = [path.absolute() for path in given]
+        known = [*wanted, Path.cwd() / "file", Path.home() / "file", Path(sys.prefix) / "file", Path(__file__)]
+        for name, text in _entries(wanted):
+            archive.writestr(name, without_secrets(text, known))
             names.append(name)
     write_bytes(path, content.getvalue())
     return names
 
 
-def without_secrets(text: str) -> str:
-    """The text with paths cut to the names of their files, and without the user's and the machine's name."""
-    home = str(Path.home())
-    if len(home) > 1:
-        text = text.replace(home, "~")
+def without_secrets(text: str, known: Iterable[Path] = ()) -> str:
+    """The text with paths cut to the names of their files, and without the user's and the machine's name.
+
+    Where a path ends can be told where it stands in quotes, or has no spaces; others are cut where they begin with
+    one of these, or with a folder of one of the ``known``.
+    """
+    paths = {*map(str, known), *(match[2] for match in _QUOTED.finditer(text))}
+    folders = {str(folder) for path in paths for folder in Path(path).parents if len(folder.parts) > 1}
+    for folder in sorted(folders, key=len, reverse=True):
+        text = text.replace(f"{folder}/", "").replace(f"{folder}\\", "")
     text = _QUOTED.sub(lambda match: f"{match[1]}{_name(match[2])}{match[1]}", text)
     text = _PATH.sub(lambda match: _name(match[0]), text)
     for name, stand_in in ((_user(), "USER"), (platform.node(), "HOST")):

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 failed or cancelled, 2 bad arguments or input.  ``chona in
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
@@ -77,7 +78,7 @@ def _run(words: list[str], progress: Progress) -> int:
         if "--debug" in words:
             traceback.print_exc()
         code = BAD_INPUT if _is_house_error(error) else FAILED
-        journal.note(f"fails with {code}: {' '.join(words)}", error)
+        journal.note(f"fails with {code}: {shlex.join(words)}", error)
         progress.error(str(error) if code == BAD_INPUT else _describe(error, words), code)
         return code
 

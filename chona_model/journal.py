@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import shlex
 import time
 import traceback
 from collections.abc import Sequence
@@ -45,7 +46,7 @@ def note(text: str, error: BaseException | None = None) -> None:
 
 def note_start(words: Sequence[str]) -> None:
     """A command begins."""
-    note(f"begins: {' '.join(words)}")
+    note(f"begins: {shlex.join(words)}")
 
 
 def note_end(words: Sequence[str], code: int) -> None:

@@ -19,15 +19,17 @@ class TrainingLog:
 
     Args:
         run: the run's folder; done: steps of the checkpoint that is continued, 0 for a new run, whose log is new too.
+        most: lines at most: of a longer log every second one is dropped, again and again.
     """
 
-    def __init__(self, run: Path, done: int) -> None:
+    def __init__(self, run: Path, done: int, most: int = MOST_LINES) -> None:
         path = run / NAME
         lines = kept_lines(path, done) if done > 0 and path.exists() else []
         if lines:
             # What was killed had gone on after its checkpoint, and may have left half a line.
             write_bytes(path, "".join(line + "\n" for line in lines).encode())
         self._path, self._lines = path, len(lines)
+        self._most = most
         self._file = path.open("a" if done > 0 else "w", encoding="utf-8", buffering=1)
 
     def __enter__(self) -> Self:
@@ -49,7 +51,7 @@ class TrainingLog:
             WriteError: the disk is full.
         """
         try:
-            if self._lines >= MOST_LINES:
+            if self._lines >= self._most:
                 self._thin()
             self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
             self._lines += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import random
 import resource
 import signal
 import subprocess
@@ -102,19 +103,22 @@ class Nursery:
         return json.loads(self._process.stdout.readline())
 
     def start(
-        self, words: list[str], killed_before: tuple[int, Path] | None = None, limits: dict[str, int] | None = None
-    ) -> Child:
+        self, words: list[str], killed_before: tuple[int, Path] | None = None, limits: dict[str, int] | None = None,
+        clock_jumps: bool = False,
+    ) -> Child:  # fmt: skip
         """Starts a child.
 
         Args:
             killed_before: the how manieth touch of a file in which folder it does not live to see.
             limits: what the system grants it, by names of the module ``resource``; of memory, more than it has now.
+            clock_jumps: whether every look at the clock on the wall finds it in another year.
         """
         self._count += 1
         told = self._folder / f"told{self._count}"
         told.touch()
         touch, folder = killed_before or (0, Path())
-        answer = self.ask(words=words, told=str(told), touch=touch, folder=str(folder), limits=limits or {})
+        answer = self.ask(words=words, told=str(told), touch=touch, folder=str(folder), limits=limits or {},
+                          jumps=clock_jumps)  # fmt: skip
         return Child(self, int(answer["pid"]), told)
 
     def close(self) -> None:
@@ -136,6 +140,9 @@ def live(command: dict[str, Any]) -> None:
         for name, most in command["limits"].items():
             now = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
             resource.setrlimit(getattr(resource, name), (most + now * (name == "RLIMIT_AS"),) * 2)
+        if command["jumps"]:
+            clock, chance = time.time, random.Random(1)
+            time.time = lambda: clock() + chance.uniform(-4e7, 4e7)
         if command["touch"]:
             end_before(command["touch"], Path(command["folder"]))
         code = chona(command["words"])
