@@ -77,6 +77,8 @@ def _run(words: list[str], progress: Progress) -> int:
     except Exception as error:
         if "--debug" in words:
             traceback.print_exc()
+        if was_short_of_memory(error):
+            traceback.clear_frames(error.__traceback__)  # what they hold is wanted for the message
         code = BAD_INPUT if _is_house_error(error) else FAILED
         journal.note(f"fails with {code}: {shlex.join(words)}", error)
         progress.error(str(error) if code == BAD_INPUT else _describe(error, words), code)

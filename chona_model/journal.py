@@ -32,7 +32,7 @@ class _Quiet(RotatingFileHandler):
 
 def note(text: str, error: BaseException | None = None) -> None:
     """Writes a line, and below it where an error came from."""
-    with contextlib.suppress(OSError, RuntimeError):  # no home folder, or one that cannot be written to
+    with contextlib.suppress(OSError, RuntimeError, MemoryError):  # no home folder, or one that cannot be written to
         folder = journal_folder()
         folder.mkdir(parents=True, exist_ok=True)
         handler = _Quiet(folder / NAME, maxBytes=FILE_BYTES, backupCount=OLD_FILES, encoding="utf-8", delay=True)

@@ -160,6 +160,7 @@ def main() -> None:
     import chona_model.train.run as loop
     from chona_model.cli import main as chona
 
+    large = loop.make_trainer
     loop.make_trainer, loop.LOG_EVERY, loop.CHECKPOINT_SECONDS = tiny_runs.make_small, 1, 0.05
     for line in sys.stdin:
         command = json.loads(line)
@@ -171,6 +172,8 @@ def main() -> None:
         else:
             pid = os.fork()
             if pid == 0:
+                if "RLIMIT_AS" in command["limits"]:
+                    loop.make_trainer = large  # small ones do with what the heap has left
                 live(command)
             answer = {"pid": pid}
         sys.stdout.write(json.dumps(answer) + "\n")

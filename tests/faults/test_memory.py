@@ -50,7 +50,7 @@ def test_a_bake_without_memory_says_so(scene: Scene, tmp_path: Path, often) -> N
 
 
 def test_a_training_without_memory_says_so(scene: Scene, tmp_path: Path) -> None:
-    child = scene.nursery.start(scene.train(tmp_path / "run"), limits={"RLIMIT_AS": 1 << 20})
+    child = scene.nursery.start(scene.train(tmp_path / "run"), limits={"RLIMIT_AS": 30 << 20})
     child.fail("out of memory", "--image-scale", "close other programs")
 
 
@@ -69,9 +69,9 @@ def baked_within(scene: Scene, shot: Path, out: Path, *more: str) -> tuple[int, 
 
 def test_a_bake_keeps_to_the_memory_it_is_allowed(scene: Scene, tmp_path: Path) -> None:
     """What it refuses to go below is enough, and the frame is the same, bit for bit."""
-    shot = enlarged(scene, tmp_path, 50)
+    shot = enlarged(scene, tmp_path, 30)
     code, _, errors = baked_within(scene, shot, tmp_path / "none", "--max-memory", "0.1")
-    told = re.search(r"--max-memory is 0.1 GB, and this bake takes ([\d.]+) at least: .* 1600x1200", errors)
+    told = re.search(r"--max-memory is 0.1 GB, and this bake takes ([\d.]+) at least: .* 960x720", errors)
     assert code == 2 and told and not list((tmp_path / "none").glob("*.exr")), errors
     least = float(told[1])
     code, highest, errors = baked_within(scene, shot, tmp_path / "little", "--max-memory", f"{least}")
