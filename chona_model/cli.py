@@ -6,14 +6,16 @@ Exit codes: 0 done, 1 failed or cancelled, 2 bad arguments or input.  ``chona in
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
 from itertools import pairwise
 
-from chona_model import commands, process, study_commands
+from chona_model import commands, journal, process, study_commands
 from chona_model.arguments import glue_frames
 from chona_model.command_line import make_parser
+from chona_model.memory import was_short_of_memory
 from chona_model.progress import Cancelled, Progress
 
 FAILED, BAD_INPUT = 1, 2
@@ -58,7 +60,14 @@ def _run(words: list[str], progress: Progress) -> int:
         except SystemExit as end:  # --help and --version
             return int(end.code or 0)
         with progress.cancel if hasattr(arguments, "progress") else contextlib.nullcontext():
-            return arguments.run(arguments, progress)
+            if getattr(arguments, "until_closed", False):
+                process.end_with_parent(progress.cancel.request)
+            if hasattr(arguments, "progress"):
+                journal.note_start(words)
+            code = arguments.run(arguments, progress)
+            if hasattr(arguments, "progress"):
+                journal.note_end(words, code)
+            return code
     except (Cancelled, KeyboardInterrupt):
         if progress.ended is None:
             progress.cancelled()
@@ -68,7 +77,10 @@ def _run(words: list[str], progress: Progress) -> int:
     except Exception as error:
         if "--debug" in words:
             traceback.print_exc()
+        if was_short_of_memory(error):
+            traceback.clear_frames(error.__traceback__)  # what they hold is wanted for the message
         code = BAD_INPUT if _is_house_error(error) else FAILED
+        journal.note(f"fails with {code}: {shlex.join(words)}", error)
         progress.error(str(error) if code == BAD_INPUT else _describe(error, words), code)
         return code
 
@@ -83,7 +95,18 @@ def _is_house_error(error: Exception) -> bool:
     return isinstance(error, ValueError) and type(error).__module__.partition(".")[0] == "chona_model"
 
 
+MEMORY_REMEDIES = {
+    "bake": "frames that are there are whole and kept: bake with --max-memory, a faster --preset or a smaller picture",
+    "train": "the last checkpoint is kept: train with a smaller --image-scale",
+    "add": "the last checkpoint is kept: add with a smaller --image-scale",
+}
+
+
 def _describe(error: Exception, words: Sequence[str]) -> str:
+    if was_short_of_memory(error):
+        told = " ".join(str(error).split())[:200]
+        remedy = MEMORY_REMEDIES.get(words[0], "use smaller images")
+        return f"out of memory{f' ({told})' if told else ''}; {remedy}, or close other programs"
     if type(error).__module__.partition(".")[0] == "chona_model":
         return str(error)  # its own words say all there is to say
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

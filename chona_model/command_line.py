@@ -17,6 +17,8 @@ METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-trans
 TRAIN_PRESETS = ("fast", "paper")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
+PATIENCE = 120.0
+"""Seconds: NFS clients show each other's changes up to 60 late."""
 DEVICE_HELP = "what it computes on; auto takes CUDA where there is a card"
 _PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
 
@@ -43,6 +45,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     def add_progress(command: argparse.ArgumentParser) -> None:
         command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
+        command.add_argument(
+            "--until-closed", action="store_true",
+            help="end when standard input is closed: with the program that started this",
+        )  # fmt: skip
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -80,11 +86,20 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
         help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
     )  # fmt: skip
+    bake.add_argument(
+        "--max-memory", type=number(0, above=True), metavar="GB",
+        help="cut frames so that the whole process takes no more; refused where the pictures alone do",
+    )  # fmt: skip
     existing = bake.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
     existing.add_argument(
         "--only-missing", action="store_true", help="leave every whole frame as it is, also those that are out of date"
     )
+    bake.add_argument(
+        "--share", type=number(0, 86400, above=True), nargs="?", const=PATIENCE, default=0.0, metavar="SECONDS",
+        help="others bake into DIR at the same time: no frame is rendered twice, and one whose process gave no sign of "
+        f"life for so long is taken over (default: {PATIENCE:g} seconds)",
+    )  # fmt: skip
     for name, words in (("motion-blur", "what moves"), ("depth-of-field", "what is out of focus")):
         bake.add_argument(
             f"--{name}", choices=BLURS, default="shot", help=f"blur {words} (default: shot, as the shot has it)"
@@ -149,6 +164,14 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     doctor = add("doctor", "check what this computer has for the work")
     doctor.add_argument("--json", action="store_true", help="as JSON")
+    doctor.add_argument(
+        "--bundle", type=Path, metavar="FILE.zip",
+        help="write what a bug report needs: versions, logs, settings; no pictures, no poses, of paths only names",
+    )  # fmt: skip
+    doctor.add_argument(
+        "--about", type=Path, action="append", default=[], metavar="PATH",
+        help="a model, a shot, or the folder of a training or bake, whose logs and headers go along; may be repeated",
+    )  # fmt: skip
 
     demo = add("demo", "make a capture of a character, train it, and bake a shot of it")
     demo.add_argument("--out", type=Path, required=True, metavar="DIR")

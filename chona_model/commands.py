@@ -74,6 +74,11 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     passes = Passes.of(arguments.passes)
+    if arguments.share and arguments.overwrite:
+        raise UsageError(
+            "both --share and --overwrite are given, and each of those who share would bake every frame again; delete "
+            "the frames, or leave one of the two out"
+        )
     find_preset(arguments.preset)  # refused before anything is read
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
@@ -86,7 +91,7 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
         device=device, passes=passes, max_error=arguments.max_error,
         blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
-        only_missing=arguments.only_missing,
+        only_missing=arguments.only_missing, max_memory=arguments.max_memory, share=arguments.share,
     )  # fmt: skip
     words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
     return finish(progress, words, **report.as_dict())
@@ -234,6 +239,19 @@ def doctor_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     """Describes this computer."""
     from chona_model.doctor import examine, to_text
 
+    if arguments.about and arguments.bundle is None:
+        raise UsageError(f"--about is {arguments.about[0]}, which belongs to --bundle FILE.zip: give that too")
+    if arguments.bundle is not None:
+        from chona_model.bundle import write_bundle
+
+        missing = next((path for path in arguments.about if not path.exists()), None)
+        if missing is not None:
+            raise UsageError(f"--about is {missing}, which does not exist; name a model, a shot, or a folder")
+        names = write_bundle(writable_file(arguments.bundle, "--bundle"), arguments.about)
+        sys.stdout.write(
+            f"wrote {arguments.bundle}, {len(names)} texts without pictures or paths: {', '.join(names)}\n"
+        )
+        return DONE
     report = examine()
     sys.stdout.write(json.dumps(report, indent=2) + "\n" if arguments.json else to_text(report))
     return DONE if report["ok"] else FAILED

@@ -39,7 +39,11 @@ KEPT_POSES = 4
 
 
 class GridActor:
-    """A trained ``GridModel`` and how to look at it."""
+    """A trained ``GridModel`` and how to look at it.
+
+    Attributes:
+        tile: pixels looked at together at most; the picture is the same.
+    """
 
     kind = "grid"
 
@@ -52,6 +56,7 @@ class GridActor:
         self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
         self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
         self._double: GridActor | None = None
+        self.tile = TILE
 
     def render(
         self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None,
@@ -73,7 +78,7 @@ class GridActor:
         ready = actor.ready(pose, settings)
         look: Any = sample_view if isinstance(ready, ReadyPose) else sample_on_device
         window = window_of(ready.part, ready.figure.figure, camera)
-        bands = [look(actor.model, ready, camera, settings, band, pixels, passes) for band in window.bands(TILE)]
+        bands = [look(actor.model, ready, camera, settings, band, pixels, passes) for band in window.bands(actor.tile)]
         return join([no_samples(passes, part_count(pose)), *bands])
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
@@ -91,6 +96,7 @@ class GridActor:
             return self
         if self._double is None:
             self._double = GridActor(deepcopy(self.model).double())
+        self._double.tile = self.tile
         return self._double
 
     def _render(
@@ -98,7 +104,7 @@ class GridActor:
     ) -> Picture:
         ready, picture, rays = self.ready(pose, settings), empty_picture(camera, passes, part_count(pose)), 0
         roots = np.zeros(2)
-        for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
+        for band in window_of(ready.part, ready.figure.figure, camera).bands(self.tile):
             look: Any = render_view if isinstance(ready, ReadyPose) else render_on_device
             view = look(self.model, ready, camera, settings, band, pixels, passes)
             _fill(picture, view, pose)

@@ -17,10 +17,10 @@ FLOORS = (
     ("commands", "study_commands"),
     ("command_parts",),
     ("serve",),
-    ("trade", "reproduce"),
+    ("trade", "reproduce", "bundle"),
     ("bake", "standin", "train", "evaluate", "info", "doctor", "data_report"),
-    ("bake_report", "shot_models"),
-    ("frame", "sight"),
+    ("bake_report", "shot_models", "claims"),
+    ("frame", "sight", "picture_memory"),
     ("blur",),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),
@@ -38,7 +38,7 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
-    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments"),
+    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments", "owner", "memory", "journal"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

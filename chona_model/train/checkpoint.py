@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
-from chona_model.formats.atomic import atomic_path
 from chona_model.formats.model_file import ModelFileError, read_metadata
+from chona_model.formats.tensor_file import write_tensors
 
 NAME = "checkpoint.safetensors"
 
@@ -25,8 +25,7 @@ class CheckpointError(ValueError):
 
 def save_checkpoint(run: Path, state: dict[str, Tensor], position: dict[str, Any], settings: dict[str, Any]) -> None:
     """Writes ``RUN/checkpoint.safetensors``, whole or not at all."""
-    with atomic_path(run / NAME) as temporary:
-        save_file(state, temporary, metadata={"position": json.dumps(position), "settings": json.dumps(settings)})
+    write_tensors(run / NAME, state, {"position": json.dumps(position), "settings": json.dumps(settings)})
 
 
 def load_checkpoint(run: Path, settings: dict[str, Any]) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -11,11 +11,13 @@ from torch import Tensor
 
 from chona_model.actor import Actor
 from chona_model.data.dataset import Dataset
+from chona_model.formats.atomic import WriteError
+from chona_model.formats.folder_lock import FolderLock, FolderLostError, lock_folder
 from chona_model.methods import METHODS
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
 from chona_model.train.checkpoint import load_checkpoint, save_checkpoint
-from chona_model.train.errors import TrainingError
+from chona_model.train.errors import NotSavedError, TrainingError
 from chona_model.train.guard import Guard, GuardSettings, GuardState
 from chona_model.train.log import TrainingLog
 from chona_model.train.pose_summary import poses_seen
@@ -27,6 +29,8 @@ DEFAULT_STEPS = {"fast": 4000, "paper": 100_000}
 CHECKPOINT_SECONDS = 60.0
 LOG_EVERY = 20
 MODEL = "model.safetensors"
+WHAT = "training"
+"""What is locked in a run's folder."""
 STOP = "stop"
 """A file of this name in the run's folder ends the training after the step it is in, as SIGTERM does; it is removed.
 Where a program cannot send signals, as on Windows, it stops a training so without losing a step."""
@@ -107,23 +111,24 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
     Raises:
         DatasetError, TrainingError, CheckpointError, OSError.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    with repeatable(run.device):
-        trainer, settings = make_trainer(dataset, run)
-        identity = {"preset": run.preset, "method": run.method}
-        actor, training = run_trainer(trainer, dataset, out, run, identity, progress)
     model = out / MODEL
-    save_actor(model, actor, run.method, {"preset": run.preset, **settings}, training)
+    with lock_folder(out, WHAT) as held:
+        with repeatable(run.device):
+            trainer, settings = make_trainer(dataset, run)
+            identity = {"preset": run.preset, "method": run.method}
+            actor, training = run_trainer(trainer, dataset, held, run, identity, progress)
+        save_model(model, actor, run.method, {"preset": run.preset, **settings}, training)
     report_end(progress, model, training)
     return model
 
 
 def run_trainer(
-    trainer: Trainer, dataset: Dataset, out: Path, run: TrainRun, identity: dict[str, Any], progress: Progress
+    trainer: Trainer, dataset: Dataset, held: FolderLock, run: TrainRun, identity: dict[str, Any], progress: Progress
 ) -> tuple[Actor, dict[str, Any]]:
-    """Trains until the budget is spent or the user wants an end, with log and checkpoints in ``out``.
+    """Trains until the budget is spent or the user wants an end, with log and checkpoints in a folder.
 
     Args:
+        held: the lock on that folder.
         identity: what else than seed, image size and data a checkpoint must agree in to be continued.
 
     Returns:
@@ -132,6 +137,7 @@ def run_trainer(
     Raises:
         TrainingError, CheckpointError, OSError.
     """
+    out = held.path.parent
     (out / STOP).unlink(missing_ok=True)
     identity = identity | {
         "seed": run.seed, "image_scale": run.image_scale, "persons": sorted(dataset.persons),
@@ -141,16 +147,34 @@ def run_trainer(
     if not run.resume:
         (out / PREVIEW).unlink(missing_ok=True)
     preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)
-    loop = _Loop(trainer, out, run, identity, preview)
+    loop = _Loop(trainer, held, run, identity, preview)
     try:
         loop.run(progress)
     except TrainingError as error:
         raise TrainingError(f"{error}; {loop.kept()}") from error
+    except (WriteError, FolderLostError) as error:
+        raise NotSavedError(f"{error}; {loop.kept()}") from error
     training = {"steps": loop.done, "seconds": round(loop.spent, 2),
                 "poses": len({(v.sequence, v.frame) for v in dataset.views}), "views": len(dataset.views),
                 "data": run.data_statement, "finished": not progress.cancelled_by_user,
                 "poses_seen": poses_seen(dataset)}  # fmt: skip
     return trainer.actor(), training
+
+
+def save_model(path: Path, actor: Actor, method: str, settings: dict[str, Any], training: dict[str, Any]) -> None:
+    """Writes the model of a training whose last checkpoint is there.
+
+    Raises:
+        NotSavedError: the disk is full, or the folder cannot be written to.
+    """
+    try:
+        save_actor(path, actor, method, settings, training)
+    except WriteError as error:
+        raise NotSavedError(f"{error}; {_model_of_checkpoint(training['steps'])}") from error
+
+
+def _model_of_checkpoint(step: int) -> str:
+    return f"the checkpoint of step {step} is kept, --resume --steps {step} makes a model of it"
 
 
 def report_end(progress: Progress, model: Path, training: dict[str, Any]) -> None:
@@ -169,9 +193,10 @@ class _Loop:
     """
 
     def __init__(
-        self, trainer: Trainer, out: Path, run: TrainRun, identity: dict[str, Any], preview: Preview | None
+        self, trainer: Trainer, held: FolderLock, run: TrainRun, identity: dict[str, Any], preview: Preview | None
     ) -> None:
-        self.trainer, self.out, self.identity, self.resumes = trainer, out, identity, run.resume
+        out = held.path.parent
+        self.trainer, self.held, self.out, self.identity, self.resumes = trainer, held, out, identity, run.resume
         self.preview = preview
         self.budget = run.minutes * 60.0 if run.minutes is not None else None
         self.steps = run.steps or (DEFAULT_STEPS[run.preset] if self.budget is None else 1)
@@ -195,8 +220,11 @@ class _Loop:
             began = time.perf_counter() - self.spent
             saved, warm, before = time.perf_counter(), False, self.spent
             while not self._stopped(progress) and self.share < 1.0:
+                continued, spent = progress.cancel.continued, self.spent
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
+                if progress.cancel.continued != continued:
+                    began = time.perf_counter() - spent  # it was stopped, which is no training
                 if not warm:
                     began, warm = time.perf_counter() - before, True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began
@@ -242,15 +270,13 @@ class _Loop:
         model = f"; {self.out / MODEL} is the one from before" if (self.out / MODEL).exists() else ""
         if self.saved is None:
             return f"no checkpoint was written, and no model{model}"
-        return (
-            f"the checkpoint of step {self.saved} is kept, --resume --steps {self.saved} makes a model of it, and no "
-            f"model was written{model}"
-        )
+        return f"{_model_of_checkpoint(self.saved)}, --resume alone goes on, and no model was written{model}"
 
     def _save(self) -> None:
         """Raises TrainingError and leaves the checkpoint before as it is where a number is not finite."""
         state = self.trainer.state()
         self.guard.look(self.done, state)
+        self.held.check()
         position = {"step": self.done, "seconds": self.spent, "guard": self.guard.position()}
         save_checkpoint(self.out, state, position, self.identity)
         self.saved = self.done
