@@ -30,7 +30,7 @@ for curve in rig.animation_data.action.layers[0].strips[0].channelbags[0].fcurve
 told, said = io.StringIO(), io.StringIO()
 # No worker could start: this is no Python.
 with contextlib.redirect_stdout(told), contextlib.redirect_stderr(said):
-    code = commands.main(["shot", "--out", str(folder), "--name", "walk", "--frames", "-2-5:2", "--motion-blur", "off"])
+    code = commands.main(["shot", "--out", str(folder), "--name", "walk", "--frames=-2-5:2", "--motion-blur", "off"])
     refused = commands.main(
         ["shot", "--out", str(folder), "--name", "walk", "--model", str(folder / "none.safetensors")]
     )
