@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Sequence
 from itertools import pairwise
 
-from chona_model import commands, journal, process, study_commands
+from chona_model import commands, farm_commands, journal, process, study_commands
 from chona_model.arguments import glue_frames
 from chona_model.command_line import make_parser
 from chona_model.memory import was_short_of_memory
@@ -28,6 +28,7 @@ COMMANDS = {
     "estimate": commands.estimate_command,
     "reproduce": study_commands.reproduce_command,
     "add": study_commands.add_command,
+    "farm": farm_commands.farm_command,
     "stand-in": commands.stand_in_command,
     "serve": commands.serve_command,
     "info": commands.info_command,

@@ -15,6 +15,7 @@ from chona_model.study_line import add_add, add_reproduce
 METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-translation", "tava", "arah", "arah-object")
 """Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
+MANAGERS = ("flamenco", "slurm")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
 PATIENCE = 120.0
@@ -100,6 +101,13 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         help="others bake into DIR at the same time: no frame is rendered twice, and one whose process gave no sign of "
         f"life for so long is taken over (default: {PATIENCE:g} seconds)",
     )  # fmt: skip
+    bake.add_argument(
+        "--dask", metavar="ADDRESS",
+        help="bake on the workers of this Dask scheduler, such as tcp://farm:8786, which share DIR (implies --share)",
+    )  # fmt: skip
+    bake.add_argument(
+        "--chunk", type=whole(1, 10**6), default=20, metavar="N", help="frames of one task with --dask (default: 20)"
+    )
     for name, words in (("motion-blur", "what moves"), ("depth-of-field", "what is out of focus")):
         bake.add_argument(
             f"--{name}", choices=BLURS, default="shot", help=f"blur {words} (default: shot, as the shot has it)"
@@ -134,6 +142,12 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     estimate.add_argument("--seconds", type=number(0, 600, above=True), default=2.0, metavar="S", help="of calibration")
 
     add_reproduce(add("reproduce", "make a table of the paper again", long=True))
+
+    farm = add("farm", "write what a farm's manager needs to bake: Flamenco's job type, or a script for Slurm")
+    farm.add_argument("manager", choices=MANAGERS)
+    farm.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="for Flamenco: scripts, beside the Manager"
+    )
 
     stand_in = add("stand-in", "make meshes of a model's person and objects, for viewports and shadows", long=True)
     stand_in.add_argument("--model", type=Path, required=True, metavar="FILE")

@@ -74,14 +74,19 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     passes = Passes.of(arguments.passes)
-    if arguments.share and arguments.overwrite:
+    if (arguments.share or arguments.dask) and arguments.overwrite:
+        given = "--dask" if arguments.dask else "--share"
         raise UsageError(
-            "both --share and --overwrite are given, and each of those who share would bake every frame again; delete "
+            f"both {given} and --overwrite are given, and each of those who share would bake every frame again; delete "
             "the frames, or leave one of the two out"
         )
     find_preset(arguments.preset)  # refused before anything is read
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
+    if arguments.dask is not None:
+        from chona_model.farm_commands import bake_on_cluster
+
+        return bake_on_cluster(arguments, progress)
     device = resolve_device(arguments.device)
     from chona_model.bake import bake
     from chona_model.blur import BlurChoice

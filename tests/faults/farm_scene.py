@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +56,20 @@ def baked(model: Path, shot: Path, out: Path, frames: tuple[int, ...] | None = N
 def numbers(out: Path) -> set[str]:
     """Names of the frames of a folder, without those that are being written."""
     return {path.name for path in out.glob("[!.]*.exr")}
+
+
+def watch(out: Path, ended: Callable[[], bool], seconds: float = 500.0) -> None:
+    """Waits for the end, and looks on: a frame that is there is never put there again."""
+    seen: dict[str, tuple[int, int]] = {}
+    until = time.monotonic() + seconds
+    over = False
+    while not over:
+        assert time.monotonic() < until, "it does not end"
+        over = ended()  # and one last look
+        for name in numbers(out):
+            facts = (out / name).stat()
+            assert seen.setdefault(name, (facts.st_ino, facts.st_mtime_ns)) == (facts.st_ino, facts.st_mtime_ns), name
+        time.sleep(0.02)
 
 
 def assert_same_frames(out: Path, truth: Path) -> None:

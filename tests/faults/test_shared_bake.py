@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from farm_scene import CHONA, ENVIRONMENT, assert_same_frames, baked, numbers, write_scene
+from farm_scene import CHONA, ENVIRONMENT, assert_same_frames, baked, numbers, watch, write_scene
 
 from chona_model.claims import FOLDER
 
@@ -84,19 +84,20 @@ def test_one_that_stands_still_is_replaced_and_repeats_nothing(scene: tuple[Path
 def test_several_bakes_and_kills(
     scene: tuple[Path, Path, Path], tmp_path: Path, often: Callable[[int, int], int]
 ) -> None:
-    """Three bakes, one of them killed: every frame is one process's, and the last claim on it says whose."""
+    """Three bakes, one of them killed: every frame is put into its place once, and its claim says by whom."""
     model, shot, truth = scene
     for turn in range(often(1, 20)):
         out = tmp_path / str(turn)
         bakes = [start(model, shot, out) for _ in range(3)]
         stop_within(bakes[0], out, signal.SIGKILL)
+        watch(out, lambda bakes=bakes: all(one.poll() is not None for one in bakes))
         ends = [end_of(one) for one in bakes[1:]]
         assert_same_frames(out, truth)
+        assert sum(end["written"] for end in ends) <= FRAMES <= sum(end["written"] + end["skipped"] for end in ends) / 2
         makers = [json.loads(path.read_bytes()) for path in (out / FOLDER).iterdir()]
         made = [record["pid"] for record in makers if record["state"] == "done"]
         for one, end in zip(bakes[1:], ends, strict=True):
-            assert made.count(one.pid) == end["written"]
-        assert len(makers) <= FRAMES + 1 and FRAMES - 1 <= len(made) <= FRAMES
+            assert made.count(one.pid) <= end["written"]
 
 
 def test_sharing_and_overwriting_are_refused_together(scene: tuple[Path, Path, Path], tmp_path: Path) -> None:
