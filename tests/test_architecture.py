@@ -38,7 +38,7 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
-    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments"),
+    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "launch", "arguments"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

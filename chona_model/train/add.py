@@ -18,6 +18,7 @@ from chona_model.grid_actor import GridActor
 from chona_model.methods import METHODS, method_of
 from chona_model.model_store import load_actor, save_actor
 from chona_model.progress import Progress
+from chona_model.train import together
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
 from chona_model.train.repeatable import repeatable
@@ -48,7 +49,8 @@ def add(
     _check(header, out, names.values())
     dataset = renamed(_shown_alone(dataset, tuple(names), header), names)
     method = METHODS[header.method]
-    out.mkdir(parents=True, exist_ok=True)
+    if together.leads():
+        out.mkdir(parents=True, exist_ok=True)
     with repeatable(run.device):
         actor = load_actor(base)
         assert isinstance(actor, GridActor)
@@ -62,7 +64,8 @@ def add(
         "added": [*before.get("added", []), {"identities": sorted(names.values()), **note}],
     }
     model = out / MODEL
-    save_actor(model, grown, header.method, header.settings, history)
+    if together.leads():
+        save_actor(model, grown, header.method, header.settings, history)
     report_end(progress, model, training)
     return model
 
