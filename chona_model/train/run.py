@@ -140,7 +140,8 @@ def run_trainer(
     """
     preview = None
     if together.leads():
-        (out / STOP).unlink(missing_ok=True)
+        if read_launch().attempt == 0:  # a later attempt goes on with what was asked of the first
+            (out / STOP).unlink(missing_ok=True)
         if not run.resume:
             (out / PREVIEW).unlink(missing_ok=True)
         preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)

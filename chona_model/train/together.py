@@ -73,7 +73,7 @@ def add_up(parameters: Sequence[nn.Parameter], table: TableGradient | None = Non
         return
     present = np.array([parameter.grad is not None for parameter in parameters], dtype=np.uint8)
     touched = np.zeros(0, dtype=np.uint8) if table is None else table.touched
-    bits = _reduced(torch.from_numpy(np.packbits(np.concatenate([present, touched]))), dist.ReduceOp.BOR).numpy()
+    bits = _reduced(torch.from_numpy(np.packbits(np.concatenate([present, touched]))), union=True).numpy()
     present, touched = np.split(np.unpackbits(bits, count=len(present) + len(touched)), [len(present)])
     pieces = []
     for parameter, wanted in zip(parameters, present, strict=True):
@@ -142,15 +142,17 @@ def _bytes_of_leader(content: bytes) -> bytes:
     return bytes(room)
 
 
-def _reduced(tensor: Tensor, operation: Any = dist.ReduceOp.SUM) -> Tensor:
+def _reduced(tensor: Tensor, union: bool = False) -> Tensor:
+    """The sum of all processes' tensors, or the union of their bits, in place."""
     try:
-        dist.all_reduce(tensor, op=operation)
+        dist.all_reduce(tensor, op=dist.ReduceOp.BOR if union else dist.ReduceOp.SUM)
     except RuntimeError as error:
         raise _lost() from error
     return tensor
 
 
 def _sent(tensor: Tensor) -> Tensor:
+    """The first process's tensor, in place."""
     try:
         dist.broadcast(tensor, src=LEADER)
     except RuntimeError as error:
