@@ -13,12 +13,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from chona_model import commands, farm_commands, journal, process, study_commands
-from chona_model.arguments import glue_frames
+from chona_model.arguments import UsageError, glue_frames
 from chona_model.command_line import make_parser
+from chona_model.launch import read_launch
 from chona_model.memory import was_short_of_memory
 from chona_model.progress import Cancelled, Progress
 
 FAILED, BAD_INPUT = 1, 2
+TOGETHER = (commands.train_command, study_commands.add_command)
+"""What several processes can do together."""
 
 COMMANDS = {
     "train": commands.train_command,
@@ -43,6 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     process.tune()
     words = glue_frames(sys.argv[1:] if argv is None else argv)
     progress = Progress(_mode(words))
+    progress.quiet = read_launch().rank > 0
     progress.job = words[0] if words and not words[0].startswith("-") else "chona"
     try:
         # Libraries print where they like; stdout belongs to the events.
@@ -60,6 +64,11 @@ def _run(words: list[str], progress: Progress) -> int:
             arguments = make_parser(COMMANDS).parse_args(words)
         except SystemExit as end:  # --help and --version
             return int(end.code or 0)
+        if read_launch().size > 1 and arguments.run not in TOGETHER:
+            raise UsageError(
+                f"torchrun has started {read_launch().size} processes of '{words[0]}', which would all do the same; "
+                "only train and add work together: start the others without torchrun"
+            )
         with progress.cancel if hasattr(arguments, "progress") else contextlib.nullcontext():
             if getattr(arguments, "until_closed", False):
                 process.end_with_parent(progress.cancel.request)

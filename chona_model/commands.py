@@ -16,7 +16,7 @@ from pathlib import Path
 
 from chona_model import process
 from chona_model.arguments import UsageError, sources_of, writable_file, writable_folder
-from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device
+from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device, with_others
 from chona_model.passes import Passes
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -28,19 +28,20 @@ VIEWS_CHECKED = 9
 def train_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Learns a model."""
     sources_of(arguments.sources)
-    out = writable_folder(arguments.out, "--out")
-    dataset, statement = open_sources(arguments)
-    progress.check()
-    device = resolve_device(arguments.device)
-    from chona_model.train.run import TrainRun, train
+    with with_others(progress) as writes:
+        out = writable_folder(arguments.out, "--out") if writes else arguments.out
+        dataset, statement = open_sources(arguments)
+        progress.check()
+        device = resolve_device(arguments.device)
+        from chona_model.train.run import TrainRun, train
 
-    progress.check()
-    run = TrainRun(
-        method=arguments.method, preset=arguments.preset, minutes=arguments.minutes, steps=arguments.steps,
-        image_scale=arguments.image_scale, device=device, seed=arguments.seed, resume=arguments.resume,
-        data_statement=statement, preview_every=arguments.preview_every,
-    )  # fmt: skip
-    model = train(dataset, out, run, progress)
+        progress.check()
+        run = TrainRun(
+            method=arguments.method, preset=arguments.preset, minutes=arguments.minutes, steps=arguments.steps,
+            image_scale=arguments.image_scale, device=device, seed=arguments.seed, resume=arguments.resume,
+            data_statement=statement, preview_every=arguments.preview_every,
+        )  # fmt: skip
+        model = train(dataset, out, run, progress)
     return finish(progress, f"wrote {model}", model=str(model))
 
 

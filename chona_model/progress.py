@@ -86,6 +86,7 @@ class Progress:
         clock: seconds that only grow.
 
     Attributes:
+        quiet: whether nothing is written: of several processes of one job, one reports.
         job: name given to ``start``.
         ended: ``result``, ``cancelled`` or ``error`` once the job has ended, else None.
     """
@@ -103,6 +104,7 @@ class Progress:
             raise ValueError(f"the progress mode is '{mode}', expected {' or '.join(MODES)}")
         self.mode = mode
         self.cancel = Cancel() if cancel is None else cancel
+        self.quiet = False
         self.job = ""
         self.ended: str | None = None
         self._output = sys.stdout if output is None else output
@@ -135,7 +137,7 @@ class Progress:
         self._started, self._written = self._clock(), -math.inf
         if self.mode == "json":
             self._write({"event": "start", "job": job, "total": total} | ({"done": done} if done else {}))
-        elif self._errors.isatty():
+        elif self._errors.isatty() and not self.quiet:
             from tqdm import tqdm
 
             self._close_bar()
@@ -189,8 +191,9 @@ class Progress:
             self._write({"event": event, "job": self.job, **fields})
 
     def _say(self, line: str) -> None:
-        self._errors.write(f"chona: {line}\n")
-        self._errors.flush()
+        if not self.quiet:
+            self._errors.write(f"chona: {line}\n")
+            self._errors.flush()
 
     def _flush(self, now: float) -> None:
         if self._held is not None:
@@ -198,6 +201,8 @@ class Progress:
             self._held, self._written = None, now
 
     def _write(self, event: Mapping[str, Any]) -> None:
+        if self.quiet:
+            return
         try:
             self._output.write(json.dumps(_plain(event), allow_nan=False, ensure_ascii=False) + "\n")
             self._output.flush()

@@ -39,7 +39,8 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
-    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments", "owner", "memory", "journal"),
+    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "launch", "arguments", "owner", "memory",
+     "journal"),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

@@ -13,16 +13,16 @@ from pathlib import Path
 
 from chona_model.data.dataset import Dataset, DatasetError
 from chona_model.data.renamed import renamed
-from chona_model.formats.folder_lock import lock_folder
 from chona_model.formats.model_file import ModelFileError, ModelHeader, read_header
 from chona_model.grid_actor import GridActor
 from chona_model.methods import METHODS, method_of
 from chona_model.model_store import load_actor
 from chona_model.progress import Progress
+from chona_model.train import together
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
 from chona_model.train.repeatable import repeatable
-from chona_model.train.run import MODEL, WHAT, TrainRun, report_end, run_trainer, save_model
+from chona_model.train.run import MODEL, TrainRun, held_folder, report_end, run_trainer, save_model
 
 CHUNK = 1 << 20
 
@@ -50,7 +50,7 @@ def add(
     dataset = renamed(_shown_alone(dataset, tuple(names), header), names)
     method = METHODS[header.method]
     model = out / MODEL
-    with lock_folder(out, WHAT) as held:
+    with held_folder(out) as held:
         with repeatable(run.device):
             actor = load_actor(base)
             assert isinstance(actor, GridActor)
@@ -58,14 +58,15 @@ def add(
                 dataset, settings, run.seed, run.image_scale, method, device=run.device, base=actor.model
             )
             identity = {"base": _digest(base), "method": header.method}
-            grown, training = run_trainer(trainer, dataset, held, run, identity, progress)
+            grown, training = run_trainer(trainer, dataset, out, held, run, identity, progress)
         note = {key: training[key] for key in ("steps", "seconds", "views", "data", "finished")}
         before = header.training
         history = before | {
             "poses_seen": before.get("poses_seen") or training["poses_seen"],
             "added": [*before.get("added", []), {"identities": sorted(names.values()), **note}],
         }
-        save_model(model, grown, header.method, header.settings, history)
+        if together.leads():
+            save_model(model, grown, header.method, header.settings, history)
     report_end(progress, model, training)
     return model
 

@@ -53,6 +53,14 @@ def load_checkpoint(run: Path, settings: dict[str, Any]) -> tuple[dict[str, Tens
     return state, position
 
 
+def saved_by(run: Path) -> str:
+    """The job (see ``launch``) that wrote the checkpoint; empty where there is none, or a damaged one."""
+    try:
+        return str(json.loads(read_metadata(run / NAME)["position"]).get("job", ""))
+    except (ModelFileError, KeyError, ValueError):
+        return ""
+
+
 def _short(value: Any) -> str:
     text = str(value)
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
