@@ -24,7 +24,7 @@ FLOORS = (
     ("blur",),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),
-    ("grid_device", "grid_growth"),
+    ("grid_device", "grid_growth", "grid_checks"),
     ("grid_view", "grid_trace"),
     ("grid_inputs", "render.tracing"),
     ("grid_model", "exact"),
@@ -38,7 +38,8 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
-    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments"),
+    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "arguments", "plain_arrays"),
+    ("plain_json",),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

@@ -14,9 +14,9 @@ from chona_model.data.dataset import Dataset
 from chona_model.methods import METHODS
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
-from chona_model.train.checkpoint import load_checkpoint, save_checkpoint
+from chona_model.train.checkpoint import NAME, load_checkpoint, refused, save_checkpoint
 from chona_model.train.errors import TrainingError
-from chona_model.train.guard import Guard, GuardSettings, GuardState
+from chona_model.train.guard import Guard, GuardSettings
 from chona_model.train.log import TrainingLog
 from chona_model.train.pose_summary import poses_seen
 from chona_model.train.preview import NAME as PREVIEW
@@ -180,11 +180,12 @@ class _Loop:
         self.guard = Guard(GuardSettings(), trainer.rates)
         if run.resume:
             state, position = load_checkpoint(out, identity)
-            self.done, self.spent = int(position["step"]), float(position["seconds"])
-            self.saved = self.done
-            self.guard = Guard(GuardSettings(), trainer.rates, GuardState(**position.get("guard", {})))
+            self.saved = self.done = position.step
+            self.spent = position.seconds
+            self.guard = Guard(GuardSettings(), trainer.rates, position.guard)
             self.guard.look(self.done, state)
-            trainer.restore(state, self.done)
+            with refused(out / NAME):
+                trainer.restore(state, self.done)
 
     def run(self, progress: Progress) -> None:
         """Trains, and writes the last checkpoint."""
