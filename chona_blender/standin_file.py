@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ WEIGHT_SUM_ERROR = 1e-3
 
 DAMAGE = (
     OSError, zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, TypeError, AttributeError, EOFError,
-    OverflowError, RecursionError, NotImplementedError, RuntimeError, MemoryError,
+    OverflowError, RecursionError, NotImplementedError, RuntimeError, MemoryError, SyntaxError, tokenize.TokenError,
 )  # fmt: skip
 """What damaged zip files, arrays and JSON end in."""
 

@@ -11,11 +11,12 @@ import resource
 import signal
 import subprocess
 import sys
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, Verbosity, given, settings
 from hypothesis import strategies as st
 
 HERE = Path(__file__).resolve().parent
@@ -72,7 +73,8 @@ def run(module: str, family: str, examples: int, folder: Path) -> str:
 
     @settings(
         max_examples=examples, deadline=None, database=None, derandomize=not many,
-        suppress_health_check=list(HealthCheck), phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck), phases=[Phase.generate, Phase.shrink], print_blob=False,
+        report_multiple_bugs=False, verbosity=Verbosity.quiet,
     )  # fmt: skip
     @given(strategy)
     def tried(content: Any) -> None:
@@ -82,6 +84,10 @@ def run(module: str, family: str, examples: int, folder: Path) -> str:
             counts[endured(lambda: read(content))] += 1
         except HungError as error:
             raise AssertionError(str(error)) from error
+        except Exception:
+            whole = content[-1] if isinstance(content, tuple) else content
+            (folder / "failing").write_bytes(whole)  # the last one is the smallest
+            raise
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
             signal.setitimer(signal.ITIMER_REAL, 0)
@@ -105,4 +111,7 @@ def start(module: str, family: str, examples: int, folder: Path) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(run(sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.argv[4])) + "\n")
+    try:
+        sys.stdout.write(run(sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.argv[4])) + "\n")
+    except Exception as error:  # its notes repeat the whole input
+        sys.exit("".join(traceback.format_tb(error.__traceback__))[-4000:] + f"{type(error).__name__}: {error}"[:1000])

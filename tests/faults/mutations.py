@@ -93,7 +93,7 @@ def spoiled_tree(draw: st.DrawFn, valid: Any) -> Any:
             holder, key = node, keys[draw(st.integers(0, len(keys) - 1))]
             node = node[key]
         kind = draw(st.integers(0, 5))
-        value = draw(hostile)
+        value = copy.deepcopy(draw(hostile))
         if holder is None:
             content = value
         elif kind <= 2:
@@ -127,7 +127,8 @@ def spoiled_array(draw: st.DrawFn, valid: np.ndarray) -> Any:
     if kind == 0 and valid.size and valid.dtype.kind in "fc":
         array = valid.copy()
         flat = array.reshape(-1)
-        flat[draw(st.integers(0, flat.size - 1))] = float(draw(st.sampled_from(NUMBERS)))
+        with np.errstate(over="ignore"):
+            flat[draw(st.integers(0, flat.size - 1))] = float(draw(st.sampled_from(NUMBERS)))
         return array
     if kind == 0 and valid.size and valid.dtype.kind in "iu":
         array = valid.copy()
