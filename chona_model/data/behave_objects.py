@@ -99,8 +99,8 @@ def read_ply_vertices(path: Path) -> np.ndarray:
             records = np.frombuffer(content, dtype=dtype, count=count, offset=end)
             vertices = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     except (OSError, ValueError, KeyError, IndexError, StopIteration, OverflowError, MemoryError) as error:
-        words = f"{type(error).__name__} {shortened(error)}"
-        raise DatasetError(f"cannot read the object template {path}: {words}; expected a complete PLY") from error
+        told = f"{type(error).__name__} {shortened(error)}"
+        raise DatasetError(f"cannot read the object template {path}: {told}; expected a complete PLY") from error
     return _checked(vertices, path)
 
 

@@ -164,38 +164,41 @@ class _File:
         return self._file.readline()
 
 
-class _Unpickler(pickle._Unpickler):
+_PYTHONS: Any = pickle._Unpickler
+
+
+class _Unpickler(_PYTHONS):
     """In Python: the one in C fills memory with what a file claims to remember, and cannot be told which keys to take.
 
     Its table of steps is copied, and the steps that hash or set what they are given look at it first.
     """
 
-    dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
+    dispatch: ClassVar[dict[int, Any]] = dict(_PYTHONS.dispatch)
 
     def _set_item(self) -> None:
         _checked_keys(self.stack[-2:-1])
-        pickle._Unpickler.load_setitem(self)
+        _PYTHONS.load_setitem(self)
 
     def _set_items(self) -> None:
         _checked_keys(self.stack[::2])
-        pickle._Unpickler.load_setitems(self)
+        _PYTHONS.load_setitems(self)
 
     def _make_dict(self) -> None:
         _checked_keys(self.stack[::2])
-        pickle._Unpickler.load_dict(self)
+        _PYTHONS.load_dict(self)
 
     def _add_items(self) -> None:
         _checked_keys(self.stack)
-        pickle._Unpickler.load_additems(self)
+        _PYTHONS.load_additems(self)
 
     def _make_frozenset(self) -> None:
         _checked_keys(self.stack)
-        pickle._Unpickler.load_frozenset(self)
+        _PYTHONS.load_frozenset(self)
 
     def _build(self) -> None:
         if not isinstance(self.stack[-2], _Record):
             raise _Refused(f"a state for a {type(self.stack[-2]).__name__}")
-        pickle._Unpickler.load_build(self)
+        _PYTHONS.load_build(self)
 
     dispatch[pickle.SETITEM[0]], dispatch[pickle.SETITEMS[0]] = _set_item, _set_items
     dispatch[pickle.DICT[0]], dispatch[pickle.ADDITEMS[0]] = _make_dict, _add_items

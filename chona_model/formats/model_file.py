@@ -193,7 +193,7 @@ def read_header(path: Path) -> ModelHeader:
         content = parse(metadata.get("chona", "{}"))
         trade = parse(metadata.get(TRADE, "null"))
         convert(content, dict[str, Any])
-        convert(trade, dict[str, Any] | None)
+        convert({} if trade is None else trade, dict[str, Any])
         if content.get("format") != FORMAT:
             raise ModelFileError(
                 f"{path} is a safetensors file but no CHONA model: its format is "

@@ -155,7 +155,11 @@ def spoiled_array(draw: st.DrawFn, valid: np.ndarray) -> Any:
             )
         )
     if kind == 4:
-        return np.full_like(valid, draw(st.sampled_from((0, 1, -1, 3)))) if valid.dtype.kind == "f" else valid * 0
+        return (
+            np.full_like(valid, draw(st.sampled_from((0, 1, -1, 3))))
+            if valid.dtype.kind == "f"
+            else np.zeros_like(valid)
+        )
     return np.zeros((0, *valid.shape), dtype=valid.dtype)
 
 
