@@ -135,11 +135,13 @@ def trade_command(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Predicts a bake."""
-    from chona_model.formats.model_file import read_header
+    from chona_model.formats.model_file import check_trade, read_header
     from chona_model.formats.shot import read_shot
 
     find_preset(arguments.preset)
     header = read_header(arguments.model)
+    if header.trade is not None:
+        check_trade(arguments.model, header.trade)
     if arguments.shot is None and header.trade is None:
         raise UsageError(
             f"{arguments.model} was not measured yet, so there is no view to calibrate on; give a --shot, or measure "

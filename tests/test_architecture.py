@@ -25,7 +25,7 @@ FLOORS = (
     ("blur",),
     ("model_store", "presets"),
     ("grid_actor", "exact_actor", "formats"),
-    ("grid_device", "grid_growth"),
+    ("grid_device", "grid_growth", "grid_checks"),
     ("grid_view", "grid_trace"),
     ("grid_inputs", "render.tracing"),
     ("grid_model", "exact"),
@@ -39,8 +39,21 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
-    ("settings", "geometry", "passes", "cryptomatte", "progress", "process", "launch", "arguments", "owner", "memory",
-     "journal"),
+    (
+        "settings",
+        "geometry",
+        "passes",
+        "cryptomatte",
+        "progress",
+        "process",
+        "launch",
+        "arguments",
+        "owner",
+        "memory",
+        "journal",
+        "plain_arrays",
+    ),
+    ("plain_json",),
 )
 """chona_model from the top floor down.  A module imports from lower floors, or from its own package.
 

@@ -173,6 +173,7 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
             pixels[f"{LAYER}.Combined"], pixels.get(f"{LAYER}.Depth.Z"), human, thing, confidence,
             _read_normal(pixels), _read_cryptomatte(pixels, attributes),
         )  # fmt: skip
+        _check_layers(layers)
         told = attributes.get(_PASSES_ATTRIBUTE, _passes_text(DEFAULT_PASSES))
         if _passes_text(layers.passes) != told or (layers.human is None) != (layers.object is None):
             raise ExrError(
@@ -182,7 +183,7 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
         return layers, FrameHeader(*(attributes[f"chona:{name}"] for name in names))
     except KeyError as error:
         raise ExrError(f"{path} lacks {error}; expected a frame baked by this program") from error
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, TypeError) as error:
         raise ExrError(f"cannot read {path}: {error}; render it again") from error
 
 
@@ -218,6 +219,10 @@ def _read_cryptomatte(pixels: Mapping[str, np.ndarray], attributes: Mapping[str,
     if names is None:
         return None
     levels = [pixels[f"{CRYPTO_LAYER}{level:02d}"] for level in range(cryptomatte.level_count(names))]
+    if any(level.shape != levels[0].shape or level.shape[2:] != (4,) for level in levels):
+        raise ExrError(
+            f"the Cryptomatte has levels of the shapes {[level.shape for level in levels]}, expected [H, W, 4]"
+        )
     return cryptomatte.unrank(levels, names)
 
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import msgspec
 from torch import Tensor
 
 from chona_model.actor import Actor
@@ -20,9 +21,9 @@ from chona_model.methods import METHODS
 from chona_model.model_store import save_actor
 from chona_model.progress import Progress
 from chona_model.train import together
-from chona_model.train.checkpoint import load_checkpoint, save_checkpoint, saved_by
+from chona_model.train.checkpoint import NAME, Position, load_checkpoint, refused, save_checkpoint, saved_by
 from chona_model.train.errors import NotSavedError, TrainingError
-from chona_model.train.guard import Guard, GuardSettings, GuardState
+from chona_model.train.guard import Guard, GuardSettings
 from chona_model.train.log import TrainingLog
 from chona_model.train.pose_summary import poses_seen
 from chona_model.train.preview import NAME as PREVIEW
@@ -229,15 +230,16 @@ class _Loop:
         self.budget = run.minutes * 60.0 if run.minutes is not None else None
         self.steps = run.steps or (DEFAULT_STEPS[run.preset] if self.budget is None else 1)
         self.saved: int | None = None
-        position: dict[str, Any] = {"step": 0, "seconds": 0.0}
+        position = Position(step=0, seconds=0.0)
         if together.leads() and (run.resume or _continued_by_launcher(out)):
             state, position = load_checkpoint(out, identity)
-            self.saved = int(position["step"])
-            Guard(GuardSettings(), trainer.rates).look(self.saved, state)
-            trainer.restore(state, self.saved)
-        position = together.same_state(trainer, position)
-        self.done, self.spent = int(position["step"]), float(position["seconds"])
-        self.guard = Guard(GuardSettings(), trainer.rates, GuardState(**position.get("guard", {})))
+            self.saved = position.step
+            Guard(GuardSettings(), trainer.rates, position.guard).look(self.saved, state)
+            with refused(out / NAME):
+                trainer.restore(state, self.saved)
+        position = msgspec.convert(together.same_state(trainer, msgspec.to_builtins(position)), Position)
+        self.done, self.spent = position.step, position.seconds
+        self.guard = Guard(GuardSettings(), trainer.rates, position.guard)
 
     def run(self, progress: Progress) -> None:
         """Trains, and writes the last checkpoint."""
