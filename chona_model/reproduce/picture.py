@@ -20,9 +20,9 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class _Tile:
-    """A picture and what is written below it."""
+    """A picture, None where it was not made, and what is written below it."""
 
-    file: Path
+    file: Path | None
     caption: str
 
 
@@ -48,17 +48,18 @@ def draw_table(path: Path, cells: Sequence[tuple[Cell, Path]], table: Table) -> 
     """A picture of all rows: a column a test, the same view of it as it is and as every method makes it.
 
     Args:
-        cells: those that were made, with their folders; tests that some of their rows lack are left out.
+        cells: those that were made, with their folders; where a row lacks one, its place stays empty.
     """
     columns = []
     rows = [row for row in table.rows if any(cell.row == row for cell, _ in cells)]
     for test, column_name in table.tests.items():
         folders = {cell.row: folder for cell, folder in cells if cell.column_name == column_name}
-        target = _shown(next(iter(folders.values())), test) if set(folders) == set(rows) else None
+        target = next((shown for folder in folders.values() if (shown := _shown(folder, test))), None)
         if target is not None:
             name = target.name.replace("_TARGET", "_PREDICTION")
-            made = [_Tile(_images(folders[row], test) / name, table.rows[row].label) for row in rows]
-            columns.append((test, [_Tile(target, "truth"), *made]))
+            made = {row: _images(folder, test) / name for row, folder in folders.items()}
+            labels = {row: table.rows[row].label + ("" if row in made else ": not made") for row in rows}
+            columns.append((test, [_Tile(target, "truth"), *(_Tile(made.get(row), labels[row]) for row in rows)]))
     _draw(path, columns)
 
 
@@ -82,11 +83,13 @@ def _draw(path: Path, columns: Sequence[tuple[str, Sequence[_Tile]]]) -> None:
     pen = ImageDraw.Draw(sheet)
     for number, (title, tiles) in enumerate(columns):
         pen.text((number * width + 4, 3), title, fill="black")
+        assert tiles[0].file is not None
         box = _figure_box(tiles[0].file)
         for place, tile in enumerate(tiles):
             top = CAPTION + place * (tall + CAPTION)
-            with Image.open(tile.file) as image:
-                sheet.paste(image.convert("RGB").resize(TILE, Image.Resampling.LANCZOS, box), (number * width, top))
+            if tile.file is not None:
+                with Image.open(tile.file) as image:
+                    sheet.paste(image.convert("RGB").resize(TILE, Image.Resampling.LANCZOS, box), (number * width, top))
             pen.text((number * width + 4, top + tall + 3), tile.caption, fill="black")
     with atomic_path(path) as temporary:
         sheet.save(temporary, format="PNG")
