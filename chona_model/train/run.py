@@ -219,12 +219,12 @@ class _Loop:
         with TrainingLog(self.out, self.done if self.resumes else 0) as log:
             began = time.perf_counter() - self.spent
             saved, warm, before = time.perf_counter(), False, self.spent
+            continued = progress.cancel.continued
             while not self._stopped(progress) and self.share < 1.0:
-                continued, spent = progress.cancel.continued, self.spent
                 report = self.trainer.step(self.done, self.share)
                 self.done += 1
-                if progress.cancel.continued != continued:
-                    began = time.perf_counter() - spent  # it was stopped, which is no training
+                if progress.cancel.continued != continued:  # it was stopped since the last step: that is no training
+                    continued, began = progress.cancel.continued, time.perf_counter() - self.spent
                 if not warm:
                     began, warm = time.perf_counter() - before, True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began
