@@ -70,6 +70,7 @@ def test_a_bake_ends_with_its_parent(scene: Scene, tmp_path: Path) -> None:
 def test_a_training_ends_with_its_parent_and_keeps_its_step(scene: Scene, tmp_path: Path) -> None:
     pid = orphaned([*train_words(scene.capture, tmp_path, 10**6), "--until-closed"], "progress")
     assert seconds_until_gone(pid) < PROMISED_SECONDS
+    finish(train_words(scene.capture, tmp_path, 1, "--resume"))
     assert names_in(tmp_path) == {"model.safetensors", "checkpoint.safetensors", "log.jsonl"}
 
 
