@@ -29,7 +29,7 @@ class TrainingLog:
             # What was killed had gone on after its checkpoint, and may have left half a line.
             write_bytes(path, "".join(line + "\n" for line in lines).encode())
         self._path, self._lines = path, len(lines)
-        self._most = most
+        self._most, self._spacing, self._next = most, 0, 0
         self._file = path.open("a" if done > 0 else "w", encoding="utf-8", buffering=1)
 
     def __enter__(self) -> Self:
@@ -51,18 +51,21 @@ class TrainingLog:
             WriteError: the disk is full.
         """
         try:
+            if step < self._next:
+                return
             if self._lines >= self._most:
-                self._thin()
+                self._thin(step)
             self._file.write(json.dumps({"step": step, "seconds": round(seconds, 3), **report}) + "\n")
-            self._lines += 1
+            self._lines, self._next = self._lines + 1, step + self._spacing
         except WriteError:
             raise
         except OSError as error:
             raise WriteError(self._path, error) from error
 
-    def _thin(self) -> None:
-        """Drops every second line, so that a curve keeps its shape: the older, the sparser."""
+    def _thin(self, step: int) -> None:
+        """Drops every second line, and from now on writes as seldom: a curve keeps its shape."""
         lines = kept_lines(self._path, None)[::2]
+        self._spacing = step // len(lines)
         self._file.close()
         write_bytes(self._path, "".join(line + "\n" for line in lines).encode())
         self._file = self._path.open("a", encoding="utf-8", buffering=1)

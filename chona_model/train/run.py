@@ -249,12 +249,12 @@ class _Loop:
         with TrainingLog(self.out, self.done) if together.leads() else nullcontext() as log:
             began = time.perf_counter() - self.spent
             saved, warm, before = time.perf_counter(), False, self.spent
+            continued = progress.cancel.continued
             while (share := self._agreed_share(progress)) < 1.0:
-                continued, spent = progress.cancel.continued, self.spent
                 report = self.trainer.step(self.done, share)
                 self.done += 1
-                if progress.cancel.continued != continued:
-                    began = time.perf_counter() - spent  # it was stopped, which is no training
+                if progress.cancel.continued != continued:  # it was stopped since the last step: that is no training
+                    continued, began = progress.cancel.continued, time.perf_counter() - self.spent
                 if not warm:
                     began, warm = time.perf_counter() - before, True  # the first step compiled the kernels
                 self.spent = time.perf_counter() - began

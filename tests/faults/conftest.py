@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+
+MODEL_TESTS = Path(__file__).parents[1] / "model"
+sys.path[:0] = [str(MODEL_TESTS), str(MODEL_TESTS / "train")]
 
 
 @pytest.fixture(scope="session")

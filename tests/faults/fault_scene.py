@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "model"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "model" / "train"))
 
 from cli_files import write_capture, write_tiny_shot
 from fault_nursery import Nursery

@@ -24,9 +24,10 @@ pytestmark = [pytest.mark.faults, pytest.mark.skipif(sys.platform == "win32", re
 
 PARENT = """
 import subprocess, sys
-child = subprocess.Popen([sys.executable, *sys.argv[1:]], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+event, *words = sys.argv[1:]
+child = subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                          stderr=subprocess.DEVNULL, start_new_session=True, text=True)
-while '"start"' not in child.stdout.readline():
+while f'"{event}"' not in child.stdout.readline():
     pass
 print(child.pid, flush=True)
 for line in child.stdout:
@@ -35,10 +36,10 @@ for line in child.stdout:
 PROMISED_SECONDS = 5.0
 
 
-def orphaned(words: list[str]) -> int:
-    """Starts a program from another that is killed once the work has begun; the program's number."""
+def orphaned(words: list[str], event: str) -> int:
+    """Starts a program from another that is killed once the first says so; the program's number."""
     with subprocess.Popen(
-        [sys.executable, "-c", PARENT, *words], stdout=subprocess.PIPE, text=True, env=environment()
+        [sys.executable, "-c", PARENT, event, *words], stdout=subprocess.PIPE, text=True, env=environment()
     ) as parent:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
@@ -59,7 +60,7 @@ def seconds_until_gone(pid: int) -> float:
 def test_a_bake_ends_with_its_parent(scene: Scene, tmp_path: Path) -> None:
     """Also in the middle of a frame that takes minutes."""
     out, shot = tmp_path / "out", enlarged(scene, tmp_path, 200)
-    pid = orphaned([*bake_words(scene.model, shot, out, "--preset", "exact"), "--until-closed"])
+    pid = orphaned([*bake_words(scene.model, shot, out, "--preset", "exact"), "--until-closed"], "start")
     assert seconds_until_gone(pid) < PROMISED_SECONDS
     assert not list(out.glob("*.exr"))
     shown = finish([*bake_words(scene.model, scene.shot, out), "--until-closed"])
@@ -67,8 +68,9 @@ def test_a_bake_ends_with_its_parent(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_a_training_ends_with_its_parent_and_keeps_its_step(scene: Scene, tmp_path: Path) -> None:
-    pid = orphaned([*train_words(scene.capture, tmp_path, 10**6), "--until-closed"])
+    pid = orphaned([*train_words(scene.capture, tmp_path, 10**6), "--until-closed"], "progress")
     assert seconds_until_gone(pid) < PROMISED_SECONDS
+    finish(train_words(scene.capture, tmp_path, 1, "--resume"))
     assert names_in(tmp_path) == {"model.safetensors", "checkpoint.safetensors", "log.jsonl"}
 
 
