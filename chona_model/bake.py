@@ -105,9 +105,12 @@ def bake(
     def stopped() -> bool:
         return progress.cancelled_by_user
 
+    def waits(left: int) -> None:
+        progress.update(written + skipped, f"{left} held by other bakes")
+
     progress.start("bake", len(chosen), unit="frame")
     with Claims(out, share) if share else nullcontext() as claims:
-        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key):
+        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key, waits):
             written, skipped = written + made, skipped + (not made)
             progress.update(written + skipped, done.path(index).name)
     report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)

@@ -200,7 +200,9 @@ def test_signs_of_life_go_on_while_an_item_is_made(tmp_path: Path) -> None:
 def test_a_user_who_cancels_does_not_wait_for_others(tmp_path: Path) -> None:
     other = Claims(tmp_path, 60.0)
     assert other.take("0", "key") is not None
-    stopped = iter([False, False, False, True, True, True, True])
+    stopped, told = iter([False, False, False, True, True, True, True]), []
     with Claims(tmp_path, 60.0) as claims:
-        left = each_once([0], lambda _: False, lambda *_: None, lambda: next(stopped), claims, lambda _: ("0", "key"))
-        assert list(left) == []
+        left = each_once(
+            [0], lambda _: False, lambda *_: None, lambda: next(stopped), claims, lambda _: ("0", "key"), told.append
+        )
+        assert list(left) == [] and told == [1]
