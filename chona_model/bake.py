@@ -119,13 +119,16 @@ def bake(
     def stopped() -> bool:
         return progress.cancelled_by_user
 
+    def waits(left: int) -> None:
+        progress.update(written + skipped, f"{left} held by other bakes")
+
     numbers = [int(content.frames[index]) for index in chosen]
     with (
         lock_folder(out, f"the shot {content.name}", numbers, shared=share > 0) as held,
         Claims(out, share) if share else nullcontext() as claims,
     ):
         progress.start("bake", len(chosen), unit="frame")
-        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key):
+        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key, waits):
             written, skipped = written + made, skipped + (not made)
             progress.update(written + skipped, done.path(index).name)
     report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)

@@ -50,6 +50,7 @@ def each_once(
     stopped: Callable[[], bool],
     claims: Claims | None = None,
     name_and_key: Callable[[int], tuple[str, str]] | None = None,
+    waits: Callable[[int], None] = lambda _: None,
 ) -> Iterator[tuple[int, bool]]:
     """Makes what is not there, each item by one process; yields every item when it is there, and whether it was made.
 
@@ -62,6 +63,7 @@ def each_once(
         stopped: asked before every item and while waiting.
         claims: None where nobody else makes any.
         name_and_key: of an item's claim, see ``Claims.take``.
+        waits: told how many are left, which others hold.
     """
     waiting = list(items)
     while waiting and not stopped():
@@ -88,6 +90,7 @@ def each_once(
                 else:
                     yield item, made
         if later and claims is not None:
+            waits(len(later))
             claims.wait(stopped)
         waiting = later
 

@@ -80,9 +80,15 @@ def test_what_the_killed_held_is_taken_over(tmp_path: Path, late: float, often: 
                 time.sleep(chance.uniform(0.0, 0.3))
                 one.send_signal(signal.SIGKILL)
             assert started[3].wait(60) == 0
-        assert counted(out, "made") == dict.fromkeys(range(count), 1)
-        begun = counted(out, "begun")
+        assert all((out / f"item_{item:04d}").read_bytes() == b"whole" for item in range(count))
+        begun, made = counted(out, "begun"), counted(out, "made")
         assert set(begun) == set(range(count)) and sum(begun.values()) <= count + 3, begun
+        # Who is killed between putting an item into its place and saying so has made it all the same.
+        unsaid = set(range(count)) - set(made)
+        killed = {one.pid for one in started[:3]}
+        assert set(made.values()) == {1} and len(unsaid) <= 3
+        makers = {item: pid for _, item, pid in lines(out)}
+        assert all(makers[each] in killed and begun[each] == 1 for each in unsaid)
 
 
 def test_who_stood_still_drops_what_was_taken_over(tmp_path: Path, often: Callable[[int, int], int]) -> None:
@@ -200,7 +206,9 @@ def test_signs_of_life_go_on_while_an_item_is_made(tmp_path: Path) -> None:
 def test_a_user_who_cancels_does_not_wait_for_others(tmp_path: Path) -> None:
     other = Claims(tmp_path, 60.0)
     assert other.take("0", "key") is not None
-    stopped = iter([False, False, False, True, True, True, True])
+    stopped, told = iter([False, False, False, True, True, True, True]), []
     with Claims(tmp_path, 60.0) as claims:
-        left = each_once([0], lambda _: False, lambda *_: None, lambda: next(stopped), claims, lambda _: ("0", "key"))
-        assert list(left) == []
+        left = each_once(
+            [0], lambda _: False, lambda *_: None, lambda: next(stopped), claims, lambda _: ("0", "key"), told.append
+        )
+        assert list(left) == [] and told == [1]
