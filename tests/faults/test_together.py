@@ -195,7 +195,7 @@ def test_two_processes_learn_what_one_learns(folder: Path, alone, both, preset: 
 def test_two_processes_add_what_one_adds(folder: Path, alone) -> None:
     """With the settings of users, which ``chona add`` always takes."""
     line = ["add", "--model", str(folder / alone("fast") / "model.safetensors"), "--data", str(folder / "two"),
-            "--identity", "Sub02=Ann", "--identity", "box02=cup", "--steps", "6"]  # fmt: skip
+            "--identity", "Sub02=Ann", "box02=cup", "--steps", "6"]  # fmt: skip
     finish([sys.executable, str(SMALL), *line, "--out", str(folder / "added_alone")])
     finish([*launcher(), *line, "--out", str(folder / "added_both")])
     assert_close(folder, "added_alone", "added_both")
