@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -85,23 +85,28 @@ def variables(**more: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": path, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **more}
 
 
-def finish(line: list[str], code: int = 0, **more: str) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(line, capture_output=True, text=True, timeout=WAIT, env=variables(**more), check=False)
-    assert done.returncode == code, done.stderr
-    return done
+def finish(line: list[str], code: int = 0, **more: str) -> tuple[str, str]:
+    """What a launch that ends with ``code`` has written on stdout and stderr."""
+    with started(line, **more) as process:
+        output, errors = process.communicate(timeout=WAIT)
+    assert process.returncode == code, errors
+    return output, errors
 
 
 @contextmanager
-def started(line: list[str]) -> Iterator[subprocess.Popen[str]]:
+def started(line: list[str], **more: str) -> Iterator[subprocess.Popen[str]]:
+    """A launch that leaves no process behind."""
     process = subprocess.Popen(
-        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables(), start_new_session=True
+        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables(**more), start_new_session=True
     )
     try:
         yield process
     finally:
-        for child in workers(process.pid).values():
-            os.kill(child, signal.SIGKILL)
+        children = workers(process.pid).values()
         process.kill()
+        for child in children:
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
         process.communicate()
 
 
@@ -138,9 +143,9 @@ def tensors_of(folder: Path, out: str) -> str:
     return hashlib.sha256(content[8 + int.from_bytes(content[:8], "little") :]).hexdigest()
 
 
-def messages(done: str) -> list[str]:
+def messages(errors: str) -> list[str]:
     """What chona itself says on stderr, between all that torchrun says."""
-    return [line for line in done.splitlines() if line.startswith("chona: ")]
+    return [line for line in errors.splitlines() if line.startswith("chona: ")]
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +155,8 @@ def both(folder: Path) -> Callable[[str], str]:
     def run(preset: str) -> str:
         out = f"both_{preset}"
         if not (folder / out).exists():
-            done = finish([*launcher(), *words(folder, out, preset)])
-            events = [json.loads(line)["event"] for line in done.stdout.splitlines()]
+            output, _ = finish([*launcher(), *words(folder, out, preset)])
+            events = [json.loads(line)["event"] for line in output.splitlines()]
             assert (events.count("start"), events.count("result")) == (1, 1), "one process alone reports"
             assert steps_of(folder, out) == list(range(1, STEPS[preset] + 1)), "every step once"
         return out
@@ -190,7 +195,7 @@ def test_two_processes_learn_what_one_learns(folder: Path, alone, both, preset: 
 def test_two_processes_add_what_one_adds(folder: Path, alone) -> None:
     """With the settings of users, which ``chona add`` always takes."""
     line = ["add", "--model", str(folder / alone("fast") / "model.safetensors"), "--data", str(folder / "two"),
-            "--identity", "Sub02=Ann", "--identity", "box02=cup", "--steps", "6"]  # fmt: skip
+            "--identity", "Sub02=Ann", "box02=cup", "--steps", "6"]  # fmt: skip
     finish([sys.executable, str(SMALL), *line, "--out", str(folder / "added_alone")])
     finish([*launcher(), *line, "--out", str(folder / "added_both")])
     assert_close(folder, "added_alone", "added_both")
@@ -200,8 +205,8 @@ def test_two_processes_add_what_one_adds(folder: Path, alone) -> None:
 def test_the_time_is_over_for_all_at_once(folder: Path) -> None:
     """Each process has a clock of its own; one that went on alone would wait for the others in vain."""
     line = [word for word in words(folder, "timed", "fast") if word not in {"--steps", str(STEPS["fast"])}]
-    done = finish([*launcher(), *line, "--minutes", "0.03"])
-    last = json.loads(done.stdout.splitlines()[-1])
+    output, _ = finish([*launcher(), *line, "--minutes", "0.03"])
+    last = json.loads(output.splitlines()[-1])
     assert last["event"] == "result"
     assert last["steps"] == steps_of(folder, "timed")[-1]
 
@@ -248,9 +253,9 @@ def test_two_computers_go_on_together(folder: Path, both) -> None:
 
 def test_a_failure_in_one_process_is_told_once(folder: Path) -> None:
     program = Path(__file__).with_name("together_program.py")
-    done = finish([*launcher(program=program), *words(folder, "failed", "fast")], 1, CHONA_TEST_FAIL_AT="12")
-    assert messages(done.stderr) == ["chona: OSError: the card has fallen out (--debug shows where)"]
-    events = [json.loads(line) for line in done.stdout.splitlines()]
+    output, errors = finish([*launcher(program=program), *words(folder, "failed", "fast")], 1, CHONA_TEST_FAIL_AT="12")
+    assert messages(errors) == ["chona: OSError: the card has fallen out (--debug shows where)"]
+    events = [json.loads(line) for line in output.splitlines()]
     assert [event["event"] for event in events if event["event"] in {"error", "result", "cancelled"}] == ["error"]
     assert not (folder / "failed" / "model.safetensors").exists()
 
@@ -269,8 +274,8 @@ def test_a_lost_process_is_told_once_with_what_is_kept(folder: Path) -> None:
 
 def test_data_that_cannot_be_read_are_told_once(folder: Path, tmp_path: Path) -> None:
     line = ["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")]
-    done = finish([*launcher(), *line], 1)
-    (message,) = messages(done.stderr)
+    _, errors = finish([*launcher(), *line], 1)
+    (message,) = messages(errors)
     assert str(tmp_path) in message
 
 
