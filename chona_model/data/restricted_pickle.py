@@ -195,6 +195,11 @@ class _Unpickler(_PYTHONS):
         _checked_keys(self.stack)
         _PYTHONS.load_frozenset(self)
 
+    def _make_bytearray(self) -> None:
+        """As the base class does, which asks for the memory before it looks whether the file has so many bytes."""
+        content = self.read(int.from_bytes(self.read(8), "little"))
+        self.append(bytearray(content))
+
     def _build(self) -> None:
         if not isinstance(self.stack[-2], _Record):
             raise _Refused(f"a state for a {type(self.stack[-2]).__name__}")
@@ -202,6 +207,7 @@ class _Unpickler(_PYTHONS):
 
     dispatch[pickle.SETITEM[0]], dispatch[pickle.SETITEMS[0]] = _set_item, _set_items
     dispatch[pickle.DICT[0]], dispatch[pickle.ADDITEMS[0]] = _make_dict, _add_items
+    dispatch[pickle.BYTEARRAY8[0]] = _make_bytearray
     dispatch[pickle.FROZENSET[0]], dispatch[pickle.BUILD[0]] = _make_frozenset, _build
 
     def find_class(self, module: str, name: str) -> Any:

@@ -243,6 +243,7 @@ def hand_written(mark: str) -> tuple[bytes, ...]:
     doubled = b"\x80\x04)" + b"\x94h\x00h\x00\x86" + b"".join(b"\x94h%c\x68%c\x86" % (n, n) for n in range(1, 60))
     return (
         b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.",
+        b"\x80\x05\x96" + struct.pack("<Q", 1 << 40) + b"x.",
         b"\x80\x04Nr" + struct.pack("<I", 0x7FFFFFFF) + b".",
         b"\x80\x04}(" + doubled[2:] + b"K\x01u.", b"\x80\x04\x8f(" + doubled[2:] + b"\x90.",
         b"(" + doubled[2:] + b"K\x01d.",

@@ -22,7 +22,7 @@ from fuzzing import endured, start
 from mutations import Attack, hand_written, npy_bytes, spoiled_pickle
 
 pytestmark = pytest.mark.faults
-CLAIM_OF_MEMORY = 1
+CLAIM_OF_MEMORY = 2
 """Of ``hand_written``: what it remembers is small, only its place in a table is not, and there is no table here."""
 
 

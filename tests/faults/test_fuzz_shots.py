@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 
 from fuzzing import start
-from mutations import deep_json, npy, packed, spoiled_bytes, spoiled_json, spoiled_npz
+from mutations import deep_json, npy, npy_bytes, packed, spoiled_bytes, spoiled_json, spoiled_npz
 
 pytestmark = pytest.mark.faults
 FRAMES = 2
@@ -81,10 +81,13 @@ def shots(folder: Path) -> tuple[Any, Callable[[bytes], object]]:
         path.write_bytes(content)
         _sound(read_shot(path))
         shot = read_shot(io.BytesIO(content))
-        if any(actor.model for actor in shot.actors):
-            find_models(replace(shot, actors=tuple(a for a in shot.actors if a.model)[:1], shutter=None), path, folder)
+        named = tuple(actor for actor in shot.actors if actor.model not in (None, "m.safetensors"))
+        if named:
+            find_models(replace(shot, actors=named[:1], shutter=None), path, folder)
 
-    return spoiled_npz(_arrays(), "header"), read
+    arrays = _arrays()
+    read(packed({name: npy_bytes(array) for name, array in arrays.items()}))
+    return spoiled_npz(arrays, "header"), read
 
 
 def requests(_folder: Path) -> tuple[Any, Callable[[bytes], object]]:
