@@ -25,6 +25,7 @@ SUBJECTS = (
     "numerics",
     "estimate",
     "blur",
+    "farm",
 )
 WITHOUT_DATA = {"recovery", "numerics"}
 """Subjects that need no capture; ``recovery`` also measures the poses of one that is there."""

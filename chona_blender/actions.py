@@ -21,7 +21,7 @@ from .output import Output, absolute, bake_output
 from .rig.armature import create_rig
 from .rig.cast import ActorPlan
 from .shot import sample_actors
-from .shot_file import save_shot
+from .shot_file import Shot, save_shot
 from .shot_job import ShotJob
 from .worker import chona_command
 from .worker_check import check_worker
@@ -100,12 +100,7 @@ def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = 
     python = worker_python()
     place = TemporaryDirectory(prefix="chona_frame_") if current else None
     shot = (Path(place.name) if place is not None else folder) / f"{name}.shot.npz"
-    sampled = sample_actors(scene, plans, frames, name, blur=scene_blur(scene))
-    if settings.max_error > 0.0 and "blur.samples" in sampled.arrays:
-        raise ChonaError(
-            f"Max Error is {settings.max_error:g}, but it bounds sharp frames and these are blurred; set it to 0 and "
-            "raise the samples under Motion Blur and Depth of Field, or switch both off there"
-        )
+    sampled = _sample(scene, plans, frames, name)
     save_shot(shot, sampled)
     arguments = ["bake", "--model", str(plans[0].header.path.absolute()), "--shot", str(shot), "--out", str(folder)]
     arguments += ["--passes", ",".join(settings.passes.names())]
@@ -114,6 +109,26 @@ def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = 
         arguments += ["--max-error", f"{settings.max_error:.6g}"]
     job = ShotJob(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments), place)
     return Bake(job, output, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
+
+
+def write_shot(scene: bpy.types.Scene) -> tuple[Path, tuple[str, ...]]:
+    """Write the shot where a bake would, for baking elsewhere; its file, and what was dropped. Needs no worker."""
+    plans, output = actor_plans(scene), bake_output(scene)
+    frames = checked_frames(scene)
+    folder = writable_folder(str(output.folder), "output folder")
+    sampled = _sample(scene, plans, frames, output.name)
+    path = save_shot(folder / f"{output.name}.shot.npz", sampled)
+    return path, tuple(f"{dropped} was dropped" for dropped in sampled.dropped)
+
+
+def _sample(scene: bpy.types.Scene, plans: list[ActorPlan], frames: list[int], name: str) -> Shot:
+    sampled, settings = sample_actors(scene, plans, frames, name, blur=scene_blur(scene)), settings_of(scene)
+    if settings.max_error > 0.0 and "blur.samples" in sampled.arrays:
+        raise ChonaError(
+            f"Max Error is {settings.max_error:g}, but it bounds sharp frames and these are blurred; set it to 0 and "
+            "raise the samples under Motion Blur and Depth of Field, or switch both off there"
+        )
+    return sampled
 
 
 def error_words(result: dict[str, Any]) -> str:

@@ -60,6 +60,11 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
         command.add_argument("--out", metavar="FOLDER", help="folder of the baked frames")
         command.add_argument("--name", metavar="NAME", help="name of the bake; frames are NAME_0001.exr …")
 
+    def blurred(command: argparse.ArgumentParser) -> None:
+        command.add_argument("--motion-blur", choices=["on", "off"], help="blur what moves, by the scene's shutter")
+        command.add_argument("--depth-of-field", choices=["on", "off"], help="blur by the camera's depth of field")
+        command.add_argument("--blur-samples", type=_samples, metavar="N", help="rays a pixel of blurred frames")
+
     def composited(command: argparse.ArgumentParser) -> None:
         command.add_argument("--edges", choices=["depth", "refined"], help="of what is in front of the figure")
         command.add_argument("--shadows", choices=["on", "off"], help="stand-ins cast the figure's shadow unseen")
@@ -109,11 +114,18 @@ def make_parser(runs: Mapping[str, Command]) -> Parser:
         help="leave every frame that has a file as it is, out of date or not (default: bake those again)",
     )  # fmt: skip
     one.add_argument("--passes", metavar="A,B,…", help=f"of {', '.join(PASSES)} (default: the settings')")
-    one.add_argument("--motion-blur", choices=["on", "off"], help="blur what moves, by the scene's shutter")
-    one.add_argument("--depth-of-field", choices=["on", "off"], help="blur by the camera's depth of field")
-    one.add_argument("--blur-samples", type=_samples, metavar="N", help="rays a pixel of blurred frames")
+    blurred(one)
     one.add_argument("--composite", action="store_true", help="put the frames into the compositor when done")
     composited(one)
+
+    one = add("shot", "Write what a bake would render, for baking on other computers; needs no worker.")
+    rigged(one)
+    layer(one)
+    one.add_argument("--frames", metavar="A-B[:STEP]", help="frames of the shot (default: the settings')")
+    one.add_argument(
+        "--use-scene-output", action="store_const", const=True, help="write beside the scene's own output, by its name"
+    )
+    blurred(one)
 
     shot(add("estimate", "Predict the bake with each preset after timing this computer for two seconds."))
 

@@ -63,6 +63,16 @@ def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     return code
 
 
+def shot(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
+    """Write the shot that a bake would render; its file on stdout."""
+    path, warnings = actions.write_shot(scene)
+    for words in warnings:
+        say(f"chona: warning: {words}")
+    sys.stdout.write(f"{path}\n")
+    sys.stdout.flush()
+    return DONE
+
+
 def estimate(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """Predict the bake with each preset, one line each on stdout."""
     job = measuring.start_estimate(scene)
@@ -105,6 +115,7 @@ def check(_scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
 
 RUNS: dict[str, Command] = {
     "bake": bake,
+    "shot": shot,
     "estimate": estimate,
     "composite": composite,
     "create-rig": create_rig,

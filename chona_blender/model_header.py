@@ -16,8 +16,15 @@ from .errors import ChonaError
 MODEL_VERSION = 1
 """Version of the model format that this add-on reads."""
 
-LARGEST_HEADER = 100_000_000
+LARGEST_HEADER = 16_000_000
 """Bytes; a longer header is taken for a file of another kind."""
+
+MOST_BONES = 2048
+LONGEST = 200
+"""Characters of an error's words: some repeat the file."""
+
+FARTHEST = 1e4
+"""Metres: no joint and no corner of a box lies farther."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +114,15 @@ def _read_metadata(path: Path) -> tuple[dict[str, Any], object]:
         raise ChonaError(f"Model file '{path}' cannot be read ({error.strerror}). Choose another file") from error
     try:
         header = json.loads(text)
-    except (UnicodeDecodeError, json.JSONDecodeError):
+    except (ValueError, RecursionError):
         raise ChonaError(f"{other}: its header is not JSON. Choose another file") from None
     metadata = header.get("__metadata__") if isinstance(header, dict) else None
     if not isinstance(metadata, dict) or not isinstance(metadata.get("chona"), str):
         raise ChonaError(f"{other}: its header has no entry 'chona'. Choose another file")
     try:
         raw = json.loads(metadata["chona"])
-    except json.JSONDecodeError:
+        json.dumps(raw, ensure_ascii=False).encode()  # half a surrogate pair passes the parser, and nothing shows it
+    except (ValueError, RecursionError):
         raise ChonaError(f"{other}: its entry 'chona' is not JSON. Choose another file") from None
     if not isinstance(raw, dict) or raw.get("format") != "chona-model":
         raise ChonaError(f"{other}: its format is not 'chona-model'. Choose another file")
@@ -127,25 +135,37 @@ def read_trade(text: object) -> tuple[dict[str, Any] | None, str]:
         return None, ""
     try:
         trade = json.loads(text)  # type: ignore[arg-type]
+        json.dumps(trade, ensure_ascii=False).encode()
         for figures in trade["presets"].values():
             known = (figures["seconds"], *(figures[name] for name in ("psnr", "ssim") if figures[name] is not None))
             if not all(isinstance(value, float | int) and math.isfinite(value) for value in known):
                 raise ValueError("a figure that is no number")
         if not all(isinstance(length, int) for length in trade["size"]) or len(trade["size"]) != 2:
             raise ValueError("no size")
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        return None, f"What was measured of this model is damaged ({type(error).__name__}: {error}). Measure it again"
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        words = f"{type(error).__name__}: {str(error)[:LONGEST]}"
+        return None, f"What was measured of this model is damaged ({words}). Measure it again"
     return trade, ""
 
 
 def _joints(value: Any, bones: int, person: str, path: Path) -> np.ndarray:
     joints = np.array(value, dtype=np.float64)
-    if joints.shape != (bones, 3) or not np.isfinite(joints).all():
+    if joints.shape != (bones, 3) or not (np.abs(joints) <= FARTHEST).all():
         raise ChonaError(
             f"Model '{path.name}': person '{person}' has rest joints of shape {list(joints.shape)}, expected "
             f"[{bones}, 3] finite numbers. Train the model again"
         )
     return joints
+
+
+def _corners(value: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = (np.array(value[corner], dtype=np.float64) for corner in ("lower", "upper"))
+    if not lower.shape == upper.shape == (3,) or not (np.abs([lower, upper]) <= FARTHEST).all():
+        raise ChonaError(
+            f"Model '{path.name}': the box of object '{name}' is no two corners of three finite numbers. Train the "
+            "model again"
+        )
+    return lower, upper
 
 
 def read_model_header(path: str | Path) -> ModelHeader:
@@ -160,23 +180,22 @@ def read_model_header(path: str | Path) -> ModelHeader:
     if version != MODEL_VERSION:
         newer = isinstance(version, int) and version > MODEL_VERSION
         remedy = "update the add-on" if newer else "train the model again with this version's 'chona train'"
-        raise ChonaError(
-            f"'{path.name}' is model version {version}, this add-on reads version {MODEL_VERSION}: {remedy}"
-        )
+        given = str(version)[:LONGEST]
+        raise ChonaError(f"'{path.name}' is model version {given}, this add-on reads version {MODEL_VERSION}: {remedy}")
     try:
         names = tuple(str(name) for name in raw["skeleton"]["names"])
         parents = tuple(int(parent) for parent in raw["skeleton"]["parents"])
-        if len(names) != len(parents) or any(parent >= index for index, parent in enumerate(parents)):
+        if not 0 < len(names) <= MOST_BONES or len(set(names)) != len(names):
+            raise ValueError(f"{len(names)} bones, expected 1 to {MOST_BONES}, each with a name of its own")
+        if len(names) != len(parents) or any(not -1 <= parent < index for index, parent in enumerate(parents)):
             raise ValueError("parents must come before their children")
         persons = {name: _joints(each["rest_joints"], len(names), name, path) for name, each in raw["persons"].items()}
-        objects = {
-            name: (np.array(each["lower"], dtype=np.float64), np.array(each["upper"], dtype=np.float64))
-            for name, each in raw["objects"].items()
-        }
+        objects = {name: _corners(each, name, path) for name, each in raw["objects"].items()}
         distance = float(raw.get("object_distance", 0.0))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ChonaError(
-            f"Model '{path.name}' has a damaged description ({type(error).__name__}: {error}). Train or copy it again"
-        ) from error
+        if not 0.0 <= distance <= FARTHEST:
+            raise ValueError(f"an object distance of {distance} m")
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        words = f"{type(error).__name__}: {str(error)[:LONGEST]}"
+        raise ChonaError(f"Model '{path.name}' has a damaged description ({words}). Train or copy it again") from error
     method, trade = str(raw.get("method", "")), read_trade(measured)
     return ModelHeader(path, names, parents, persons, objects, distance, method, version, raw, *trade)

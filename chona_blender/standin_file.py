@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
+import struct
+import tokenize
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -13,10 +17,20 @@ import numpy as np
 from .errors import ChonaError
 
 FORMAT, VERSION = "chona-stand-in", 1
-MOST_BYTES = 1 << 30
-"""Of an array: more is taken for damage or an attack, and never asked of memory."""
+MOST_BYTES = 1 << 28
+"""Of all arrays together, where the file itself is not larger: more is damage or an attack and never asked for."""
+
+MOST_HEADER = 1 << 24
+LONGEST = 200
+"""Characters of an error's words: some repeat the file."""
 
 WEIGHT_SUM_ERROR = 1e-3
+
+DAMAGE = (
+    OSError, zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, TypeError, AttributeError, EOFError,
+    OverflowError, RecursionError, NotImplementedError, RuntimeError, MemoryError, SyntaxError, tokenize.TokenError,
+)  # fmt: skip
+"""What damaged zip files, arrays and JSON end in."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +64,22 @@ def read_stand_in(path: Path, bones: int) -> tuple[PartMesh, ...]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            if archive.getinfo("header.npy").file_size > MOST_HEADER:
+                raise ValueError(f"its header has more than {MOST_HEADER} bytes")
+            claimed = sum(member.file_size for member in archive.infolist())
+            if claimed > max(MOST_BYTES, path.stat().st_size):
+                raise ValueError(f"it unpacks to {claimed} bytes, more than {MOST_BYTES}")
             header = json.loads(_array(archive, "header", np.uint8, (None,)).tobytes())
+            json.dumps(header, ensure_ascii=False).encode()  # half a surrogate pair passes the parser
             if header.get("format") != FORMAT or header.get("version") != VERSION:
                 raise ChonaError(
                     f"{path} is a {header.get('format')!r} of version {header.get('version')}, expected a {FORMAT!r} "
                     f"of version {VERSION}; install the CHONA extension again, so that add-on and worker match"
                 )
             return tuple(_part(archive, index, each, bones) for index, each in enumerate(header["parts"]))
-    except (OSError, zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
-        raise ChonaError(
-            f"the stand-in {path} cannot be read ({type(error).__name__}: {error}); make it again"
-        ) from error
+    except DAMAGE as error:
+        words = f"{type(error).__name__}: {str(error)[:LONGEST]}"
+        raise ChonaError(f"the stand-in {path} cannot be read ({words}); make it again") from error
 
 
 def _part(archive: zipfile.ZipFile, index: int, described: dict[str, Any], bones: int) -> PartMesh:
@@ -95,8 +114,9 @@ def _array(archive: zipfile.ZipFile, name: str, kind: type, shape: tuple[int | N
     fits = len(found) == len(shape) and all(want in (None, have) for want, have in zip(shape, found, strict=True))
     if dtype != np.dtype(kind) or not fits:
         raise ValueError(f"'{name}' is {dtype} {list(found)}, expected {np.dtype(kind)} {list(shape)}")
-    if int(np.prod(found, dtype=np.int64)) * dtype.itemsize > MOST_BYTES:
-        raise ValueError(f"'{name}' has {list(found)} numbers, more than {MOST_BYTES} bytes")
+    size = archive.getinfo(f"{name}.npy").file_size
+    if math.prod(found) * dtype.itemsize > size:
+        raise ValueError(f"'{name}' has {list(found)} numbers in {size} bytes")
     with archive.open(f"{name}.npy") as file:
         return np.lib.format.read_array(file, allow_pickle=False)
 

@@ -27,6 +27,8 @@ from .errors import ChonaError
 PYTHON_VARIABLE = "CHONA_WORKER_PYTHON"
 KEPT_LINES = 80
 GRACE_SECONDS = 10.0
+UNTIL_CLOSED = "--until-closed"
+"""Option of a worker that ends with Blender, however that ends."""
 
 
 def sources_folder() -> Path:
@@ -149,7 +151,8 @@ class Worker:
         self._process = start_process(
             self.command,
             environment,
-            stdin=subprocess.DEVNULL,
+            # The worker ends when this end of the pipe is closed, which the system does even when Blender crashes.
+            stdin=subprocess.PIPE if UNTIL_CLOSED in self.command else subprocess.DEVNULL,
             text=True,
             encoding="utf-8",
             errors="replace",
@@ -190,8 +193,15 @@ class Worker:
             return None
         for thread in self._threads:
             thread.join(timeout=2.0)
+        self._let_go()
         running.discard(self)
         return self._process.returncode
+
+    def _let_go(self) -> None:
+        """Close what the worker would see closed if Blender ended."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
 
     def wait(self, seconds: float | None = None) -> int | None:
         """Wait for the end; None when it has not come within `seconds`."""
@@ -203,6 +213,9 @@ class Worker:
         """Ask the worker to stop after its current step. `press` ends it when it does not."""
         if self.cancelled_at is None:
             self.cancelled_at = time.monotonic()
+            if sys.platform == "win32":  # it has no signals: terminating would lose the step, and a checkpoint
+                self._let_go()
+                return
             with contextlib.suppress(OSError):
                 self._process.terminate()
 
@@ -253,4 +266,4 @@ def parse_event(line: str) -> dict[str, Any] | None:
 
 def chona_command(python: Path, arguments: Sequence[str]) -> list[str]:
     """The command line of a `chona` job that reports in JSON lines."""
-    return [str(python), "-m", "chona_model", *arguments, "--progress", "json"]
+    return [str(python), "-m", "chona_model", *arguments, "--progress", "json", UNTIL_CLOSED]

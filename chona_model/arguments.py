@@ -167,7 +167,7 @@ def writable_folder(path: Path, option: str) -> Path:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path, prefix=".chona-"):
+        with tempfile.TemporaryFile(dir=path):  # without a name: nothing is left of it, whatever happens
             pass
     except FileExistsError:
         raise UsageError(f"{option} is {path}, which is a file; expected a folder: name another one") from None

@@ -5,22 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from chona_model import memory
 from chona_model.adaptive import Reached
 from chona_model.bake_report import BakeReport, LeftOut, Tally
 from chona_model.blur import AS_IN_THE_SHOT, SHARP, Blur, BlurChoice, blur_of_frame
+from chona_model.claims import Claims, each_once
+from chona_model.formats.atomic import WriteError
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.exr_structure import is_whole
+from chona_model.formats.folder_lock import lock_folder
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.formats.shot_blur import lens_arrays, shutter_arrays
 from chona_model.frame import ShotRenderer, matte_names
 from chona_model.passes import DEFAULT_PASSES, Passes
+from chona_model.picture_memory import tile_within
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
 from chona_model.settings import RenderSettings
@@ -28,10 +34,14 @@ from chona_model.shot_models import LoadedModels, ShotModels, find_models
 from chona_model.sight import bones_at_rest, out_of_picture
 
 
+class BakeError(OSError):
+    """A bake that cannot go on: why, what to do, and what is there."""
+
+
 def bake(
     model: Path, shot: Path, out: Path, frames: Sequence[int] | None, preset: str, overwrite: bool, progress: Progress,
     device: str = "cpu", passes: Passes = DEFAULT_PASSES, max_error: float = 0.0,
-    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False,
+    blur: BlurChoice = AS_IN_THE_SHOT, only_missing: bool = False, share: float = 0.0, max_memory: float | None = None,
 ) -> BakeReport:  # fmt: skip
     """Renders a shot's frames to ``OUT/NAME_0001.exr`` ….
 
@@ -48,12 +58,16 @@ def bake(
         max_error: bound on colour and alpha, see ``adaptive.render_within``; 0 for none.
         blur: motion blur and depth of field.
         only_missing: leave every frame alone that is there and whole, of whatever model, pose and settings.
+        share: others may bake into the same folder at the same time, and no frame is rendered twice; a frame whose
+            process gave no sign of life for so many seconds is taken over.  0: nobody else does.
+        max_memory: of the whole process, GB of 2^30 bytes; None for what there is.
 
     Raises:
-        SettingsError: there is no such preset.
+        SettingsError: there is no such preset, or ``max_memory`` is less than the pictures take.
         ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
             that it has not, or that comes with a bound.
-        ModelFileError: a model cannot be loaded.  OSError: the folder cannot be written to.
+        ModelFileError: a model cannot be loaded.  FolderBusyError: another process bakes some of these frames into the
+            folder.  FolderLostError: the folder was removed meanwhile.  WriteError, BakeError: it cannot be written to.
     """
     content = read_shot(shot)
     models = find_models(content, model, shot.parent)
@@ -64,43 +78,77 @@ def bake(
             f"--max-error is {max_error:g}, but it bounds sharp frames and the shot '{content.name}' is blurred; raise "
             "--blur-samples instead, or use --motion-blur off and --depth-of-field off"
         )
-    _check_writable(out)
     began = time.perf_counter()
     done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
-    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred)
+    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred, max_memory)
     written = skipped = repeated = 0
-    progress.start("bake", len(chosen), unit="frame")
-    for index in chosen:
-        if progress.cancelled_by_user:
-            break
-        path = done.path(index)
-        if (only_missing and is_whole(path)) or done.is_finished(index):
-            skipped += 1
+
+    def is_there(index: int) -> bool:
+        return (only_missing and is_whole(done.path(index))) or done.is_finished(index)
+
+    def make(index: int, confirm: Callable[[], None]) -> None:
+        nonlocal repeated
+        twin = done.twin(index)
+        if twin is None:
+            source.load()
+        start = time.perf_counter()
+        layers = read_frame(twin)[0] if twin is not None else source.render(index)
+        seconds, number = time.perf_counter() - start, int(content.frames[index])
+        more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
+        settled = json.dumps(asdict(settings) | more)
+        header = FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number)
+        held.check()
+        try:
+            write_frame(done.path(index), layers, header, confirm)
+        except WriteError as error:
+            raise BakeError(f"{error}; {_kept(written + skipped, len(chosen))}") from error
+        done.add(index)
+        _check_memory(max_memory, done.path(index))
+        if twin is not None:
+            repeated += 1
         else:
-            twin = done.twin(index)
-            if twin is None:
-                source.load()
-            start = time.perf_counter()
-            if twin is not None:
-                layers, _ = read_frame(twin)
-                repeated += 1
-            else:
-                layers = source.render(index)
-                headers = models.of_actors
-                # What is out of the picture at the frame's own time may be in it at another.
-                unseen = [] if blurred.motion else out_of_picture(content, index, headers)
-                tally.rendered(unseen, bones_at_rest(content, index, headers))
-            seconds, number = time.perf_counter() - start, int(content.frames[index])
-            more = ({"max_error": max_error} if max_error else {}) | _facts(blur_of_frame(content, index, blurred))
-            settled = json.dumps(asdict(settings) | more)
-            write_frame(path, layers, FrameHeader(digest, done.keys[index], settings.preset, settled, seconds, number))
-            done.add(index)
-            written += 1
-        progress.update(written + skipped, path.name)
+            headers = models.of_actors
+            # What is out of the picture at the frame's own time may be in it at another.
+            unseen = [] if blurred.motion else out_of_picture(content, index, headers)
+            tally.rendered(unseen, bones_at_rest(content, index, headers))
+
+    def name_and_key(index: int) -> tuple[str, str]:
+        key = "" if only_missing else f"{digest} {done.keys[index]} {','.join(passes.names)}"
+        return done.path(index).stem, key
+
+    def stopped() -> bool:
+        return progress.cancelled_by_user
+
+    def waits(left: int) -> None:
+        progress.update(written + skipped, f"{left} held by other bakes")
+
+    numbers = [int(content.frames[index]) for index in chosen]
+    with (
+        lock_folder(out, f"the shot {content.name}", numbers, shared=share > 0) as held,
+        Claims(out, share) if share else nullcontext() as claims,
+    ):
+        progress.start("bake", len(chosen), unit="frame")
+        for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key, waits):
+            written, skipped = written + made, skipped + (not made)
+            progress.update(written + skipped, done.path(index).name)
     report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))
     return report
+
+
+def _check_memory(allowed: float | None, path: Path) -> None:
+    took = memory.highest() or 0
+    if allowed is not None and took > allowed * memory.GIGABYTE:
+        raise BakeError(
+            f"--max-memory is {allowed:g} GB, and {path.name} took {took / memory.GIGABYTE:.2f}; it is kept, and no "
+            "other frame was begun: allow more, or bake a smaller picture, fewer samples or fewer passes"
+        )
+
+
+def _kept(there: int, wanted: int) -> str:
+    frames = f"{there} frame{'s are' if there != 1 else ' is'} there and whole" if there else "no frame is there yet"
+    return f"{frames}, of {wanted}; the same command goes on with the rest"
 
 
 class FinishedFrames:
@@ -150,9 +198,10 @@ class _Source:
 
     def __init__(
         self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float,
-        blur: Blur,
+        blur: Blur, max_memory: float | None,
     ) -> None:  # fmt: skip
         self._models, self._shot, self._device, self._blur = models, shot, device, blur
+        self._max_memory = max_memory
         self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
         self._loaded: LoadedModels | None = None
@@ -161,8 +210,12 @@ class _Source:
         """Loads what the shot shows, if that is not done."""
         if self._renderer is None:
             self._loaded = self._models.load(self._shot, self._device)
-            actors = self._loaded.actors
-            self._renderer = ShotRenderer(actors, self._shot, self._settings, self._passes, self._max_error, self._blur)
+            actors, tile = self._loaded.actors, None
+            if self._max_memory is not None:
+                tile = tile_within(self._max_memory, self._shot, self._passes, self._blur != SHARP)
+            self._renderer = ShotRenderer(
+                actors, self._shot, self._settings, self._passes, self._max_error, self._blur, tile
+            )
         return self._renderer
 
     def render(self, index: int) -> FrameLayers:
@@ -219,15 +272,3 @@ def choose_frames(shot: Shot, frames: Sequence[int] | None) -> list[int]:
             f"({len(place)} frames): choose among them with --frames, or write the shot again"
         )
     return [place[frame] for frame in sorted(set(frames))]
-
-
-def _check_writable(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".chona-write-test"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise OSError(
-            f"cannot write to the output folder {out} ({error.strerror}); choose another with --out"
-        ) from error

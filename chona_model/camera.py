@@ -14,6 +14,10 @@ PERSPECTIVE = "PERSP"
 ORTHOGRAPHIC = "ORTHO"
 
 
+FARTHEST = 1e8
+"""Metres from the origin, and pixels of a focal length or principal point: beyond, nothing is told apart any more."""
+
+
 class CameraError(ValueError):
     """A camera that cannot be rendered: singular, not finite, or of an unknown kind."""
 
@@ -42,6 +46,9 @@ class Camera:
             raise CameraError(f"image size is {self.width}x{self.height}, expected at least 1x1")
         if not (np.isfinite(self.intrinsics).all() and np.isfinite(self.world_from_camera).all()):
             raise CameraError("the camera holds a value that is not finite")
+        largest = max(np.abs(self.intrinsics).max(), np.abs(self.world_from_camera).max())
+        if largest > FARTHEST:
+            raise CameraError(f"the camera holds the value {largest:g}, expected at most {FARTHEST:g}")
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
             raise CameraError(
                 f"focal lengths must be positive, got {self.intrinsics[0, 0]} and {self.intrinsics[1, 1]}"
@@ -133,3 +140,10 @@ class Camera:
         """[height, width, 2] pixel coordinates of all centres."""
         columns, rows = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([columns, rows], axis=-1)
+
+
+def is_rotation(matrix: np.ndarray, tolerance: float = 1e-3) -> bool:
+    """Whether a matrix [3, 3] is one, to ``tolerance`` in every entry of RᵀR − I; what is not finite is none."""
+    if not (np.abs(matrix) <= 2.0).all():
+        return False
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= tolerance and np.linalg.det(matrix) > 0.0)

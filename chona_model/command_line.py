@@ -15,8 +15,11 @@ from chona_model.study_line import add_add, add_reproduce
 METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-translation", "tava", "arah", "arah-object")
 """Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
+MANAGERS = ("flamenco", "slurm")
 DEFAULT_PRESET = "final"
 MAX_SEED = 2**63 - 1
+PATIENCE = 120.0
+"""Seconds: NFS clients show each other's changes up to 60 late."""
 DEVICE_HELP = "what it computes on; auto takes CUDA where there is a card"
 _PRESET_HELP = f"{', '.join(PRESETS)}, or one of yours (default: {DEFAULT_PRESET})"
 
@@ -43,6 +46,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     def add_progress(command: argparse.ArgumentParser) -> None:
         command.add_argument("--progress", choices=MODES, default="terminal", help="a bar, or JSON lines on stdout")
+        command.add_argument(
+            "--until-closed", action="store_true",
+            help="end when standard input is closed: with the program that started this",
+        )  # fmt: skip
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -80,10 +87,26 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         "--max-error", type=number(0, 0.5), default=0.0, metavar="E",
         help="render pixels again, finer, until their colour and alpha change by no more than this; 0: off",
     )  # fmt: skip
+    bake.add_argument(
+        "--max-memory", type=number(0, above=True), metavar="GB",
+        help="cut frames so that the whole process takes no more; refused where the pictures alone do",
+    )  # fmt: skip
     existing = bake.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="bake frames again that are up to date")
     existing.add_argument(
         "--only-missing", action="store_true", help="leave every whole frame as it is, also those that are out of date"
+    )
+    bake.add_argument(
+        "--share", type=number(0, 86400, above=True), nargs="?", const=PATIENCE, default=0.0, metavar="SECONDS",
+        help="others bake into DIR at the same time: no frame is rendered twice, and one whose process gave no sign of "
+        f"life for so long is taken over (default: {PATIENCE:g} seconds)",
+    )  # fmt: skip
+    bake.add_argument(
+        "--dask", metavar="ADDRESS",
+        help="bake on the workers of this Dask scheduler, such as tcp://farm:8786, which share DIR (implies --share)",
+    )  # fmt: skip
+    bake.add_argument(
+        "--chunk", type=whole(1, 10**6), default=20, metavar="N", help="frames of one task with --dask (default: 20)"
     )
     for name, words in (("motion-blur", "what moves"), ("depth-of-field", "what is out of focus")):
         bake.add_argument(
@@ -120,6 +143,12 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     add_reproduce(add("reproduce", "make a table of the paper again", long=True))
 
+    farm = add("farm", "write what a farm's manager needs to bake: Flamenco's job type, or a script for Slurm")
+    farm.add_argument("manager", choices=MANAGERS)
+    farm.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="for Flamenco: scripts, beside the Manager"
+    )
+
     stand_in = add("stand-in", "make meshes of a model's person and objects, for viewports and shadows", long=True)
     stand_in.add_argument("--model", type=Path, required=True, metavar="FILE")
     stand_in.add_argument("--person", metavar="P", help="default: none, the objects alone")
@@ -149,6 +178,14 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
 
     doctor = add("doctor", "check what this computer has for the work")
     doctor.add_argument("--json", action="store_true", help="as JSON")
+    doctor.add_argument(
+        "--bundle", type=Path, metavar="FILE.zip",
+        help="write what a bug report needs: versions, logs, settings; no pictures, no poses, of paths only names",
+    )  # fmt: skip
+    doctor.add_argument(
+        "--about", type=Path, action="append", default=[], metavar="PATH",
+        help="a model, a shot, or the folder of a training or bake, whose logs and headers go along; may be repeated",
+    )  # fmt: skip
 
     demo = add("demo", "make a capture of a character, train it, and bake a shot of it")
     demo.add_argument("--out", type=Path, required=True, metavar="DIR")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from chona_model.arguments import UsageError, sources_of
+from chona_model.launch import read_launch
 from chona_model.progress import Progress
 
 if TYPE_CHECKING:
@@ -24,10 +27,28 @@ def finish(progress: Progress, words: str, **fields: Any) -> int:
     if progress.ended is None:
         progress.result(**fields)
     if progress.ended != "result":
-        return FAILED
-    if progress.mode == "terminal":
+        # torchrun starts what has failed anew, and the user wanted an end.
+        return DONE if progress.ended == "cancelled" and read_launch().attempts_left else FAILED
+    if progress.mode == "terminal" and not progress.quiet:
         sys.stdout.write(words + "\n")
     return DONE
+
+
+@contextmanager
+def with_others(progress: Progress) -> Iterator[bool]:
+    """Joins the processes that torchrun has started beside this one, where it has, while the block runs.
+
+    Yields:
+        whether this process is the one that writes.
+    """
+    launch = read_launch()
+    if launch.size == 1:
+        yield True
+        return
+    from chona_model.train.joining import joined
+
+    with joined(progress):
+        yield launch.rank == 0
 
 
 def open_sources(arguments: argparse.Namespace) -> tuple[Dataset, str]:
@@ -49,18 +70,34 @@ def open_sources(arguments: argparse.Namespace) -> tuple[Dataset, str]:
 
 
 def resolve_device(asked: str) -> str:
-    """``cpu`` or ``cuda`` of ``auto``, ``cpu`` or ``cuda``.
+    """``cpu`` or ``cuda`` of ``auto``, ``cpu`` or ``cuda``; ``cuda:N`` where processes share a computer's cards.
 
     Raises:
-        UsageError: CUDA was asked for and is not there.
+        UsageError: CUDA was asked for and is not there, or not for every process.
     """
     if asked == "cpu":
         return "cpu"
     import torch
 
     if torch.cuda.is_available():
-        return "cuda"
+        return _own_card(torch.cuda.device_count())
     if asked == "cuda":
         build = "has no driver or no card" if torch.version.cuda else "has a torch without CUDA"
         raise UsageError(f"--device is cuda, but this computer {build}; use --device cpu, or see 'chona doctor'")
     return "cpu"
+
+
+def _own_card(cards: int) -> str:
+    """``cuda``, or of several processes on this computer the card that is this one's."""
+    launch = read_launch()
+    if launch.local_size == 1:
+        return "cuda"
+    if launch.local_size > cards:
+        raise UsageError(
+            f"torchrun has started {launch.local_size} processes on a computer with {cards} graphics "
+            f"card{'s' * (cards > 1)}; give --nproc-per-node {cards}, or --device cpu"
+        )
+    import torch
+
+    torch.cuda.set_device(launch.local_rank)  # what is made on "cuda" alone belongs there too
+    return f"cuda:{launch.local_rank}"

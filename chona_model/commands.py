@@ -16,7 +16,7 @@ from pathlib import Path
 
 from chona_model import process
 from chona_model.arguments import UsageError, sources_of, writable_file, writable_folder
-from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device
+from chona_model.command_parts import DONE, FAILED, finish, open_sources, resolve_device, with_others
 from chona_model.passes import Passes
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -28,19 +28,20 @@ VIEWS_CHECKED = 9
 def train_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Learns a model."""
     sources_of(arguments.sources)
-    out = writable_folder(arguments.out, "--out")
-    dataset, statement = open_sources(arguments)
-    progress.check()
-    device = resolve_device(arguments.device)
-    from chona_model.train.run import TrainRun, train
+    with with_others(progress) as writes:
+        out = writable_folder(arguments.out, "--out") if writes else arguments.out
+        dataset, statement = open_sources(arguments)
+        progress.check()
+        device = resolve_device(arguments.device)
+        from chona_model.train.run import TrainRun, train
 
-    progress.check()
-    run = TrainRun(
-        method=arguments.method, preset=arguments.preset, minutes=arguments.minutes, steps=arguments.steps,
-        image_scale=arguments.image_scale, device=device, seed=arguments.seed, resume=arguments.resume,
-        data_statement=statement, preview_every=arguments.preview_every,
-    )  # fmt: skip
-    model = train(dataset, out, run, progress)
+        progress.check()
+        run = TrainRun(
+            method=arguments.method, preset=arguments.preset, minutes=arguments.minutes, steps=arguments.steps,
+            image_scale=arguments.image_scale, device=device, seed=arguments.seed, resume=arguments.resume,
+            data_statement=statement, preview_every=arguments.preview_every,
+        )  # fmt: skip
+        model = train(dataset, out, run, progress)
     return finish(progress, f"wrote {model}", model=str(model))
 
 
@@ -74,9 +75,19 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     passes = Passes.of(arguments.passes)
+    if (arguments.share or arguments.dask) and arguments.overwrite:
+        given = "--dask" if arguments.dask else "--share"
+        raise UsageError(
+            f"both {given} and --overwrite are given, and each of those who share would bake every frame again; delete "
+            "the frames, or leave one of the two out"
+        )
     find_preset(arguments.preset)  # refused before anything is read
     read_header(arguments.model)
     out = writable_folder(arguments.out, "--out")
+    if arguments.dask is not None:
+        from chona_model.farm_commands import bake_on_cluster
+
+        return bake_on_cluster(arguments, progress)
     device = resolve_device(arguments.device)
     from chona_model.bake import bake
     from chona_model.blur import BlurChoice
@@ -86,7 +97,7 @@ def bake_command(arguments: argparse.Namespace, progress: Progress) -> int:
         arguments.model, arguments.shot, out, arguments.frames, arguments.preset, arguments.overwrite, progress,
         device=device, passes=passes, max_error=arguments.max_error,
         blur=BlurChoice(arguments.motion_blur, arguments.depth_of_field, arguments.blur_samples),
-        only_missing=arguments.only_missing,
+        only_missing=arguments.only_missing, max_memory=arguments.max_memory, share=arguments.share,
     )  # fmt: skip
     words = f"{report.sentence()}: {out}\n{report.left_out.sentence()}".rstrip()
     return finish(progress, words, **report.as_dict())
@@ -124,11 +135,13 @@ def trade_command(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def estimate_command(arguments: argparse.Namespace, progress: Progress) -> int:
     """Predicts a bake."""
-    from chona_model.formats.model_file import read_header
+    from chona_model.formats.model_file import check_trade, read_header
     from chona_model.formats.shot import read_shot
 
     find_preset(arguments.preset)
     header = read_header(arguments.model)
+    if header.trade is not None:
+        check_trade(arguments.model, header.trade)
     if arguments.shot is None and header.trade is None:
         raise UsageError(
             f"{arguments.model} was not measured yet, so there is no view to calibrate on; give a --shot, or measure "
@@ -234,6 +247,19 @@ def doctor_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     """Describes this computer."""
     from chona_model.doctor import examine, to_text
 
+    if arguments.about and arguments.bundle is None:
+        raise UsageError(f"--about is {arguments.about[0]}, which belongs to --bundle FILE.zip: give that too")
+    if arguments.bundle is not None:
+        from chona_model.bundle import write_bundle
+
+        missing = next((path for path in arguments.about if not path.exists()), None)
+        if missing is not None:
+            raise UsageError(f"--about is {missing}, which does not exist; name a model, a shot, or a folder")
+        names = write_bundle(writable_file(arguments.bundle, "--bundle"), arguments.about)
+        sys.stdout.write(
+            f"wrote {arguments.bundle}, {len(names)} texts without pictures or paths: {', '.join(names)}\n"
+        )
+        return DONE
     report = examine()
     sys.stdout.write(json.dumps(report, indent=2) + "\n" if arguments.json else to_text(report))
     return DONE if report["ok"] else FAILED

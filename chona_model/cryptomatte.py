@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MOST_NAMES = 1024
+"""Of a manifest that is read: every one is an image."""
+
 FEW, LEVELS, MOST_LEVELS = 4, 2, 3
 """Levels of up to ``FEW`` names, whose ranks then hold them all, and of more."""
 
@@ -96,9 +99,12 @@ def names_of(layer: str, header: Mapping[str, str]) -> tuple[str, ...] | None:
     for key, value in header.items():
         parts = key.split("/")
         if len(parts) == 3 and (parts[0], parts[2], value) == ("cryptomatte", "name", layer):
-            manifest = json.loads(header.get(f"cryptomatte/{parts[1]}/manifest", "null"))
-            if not isinstance(manifest, dict):
-                raise ValueError(f"the manifest of {layer} is no JSON object")
+            try:
+                manifest = json.loads(header.get(f"cryptomatte/{parts[1]}/manifest", "null"))
+            except (TypeError, RecursionError) as error:
+                raise ValueError(f"the manifest of {layer} is no JSON ({type(error).__name__})") from error
+            if not isinstance(manifest, dict) or len(manifest) > MOST_NAMES:
+                raise ValueError(f"the manifest of {layer} is no JSON object of at most {MOST_NAMES} names")
             return tuple(manifest)
     return None
 

@@ -207,6 +207,8 @@ class ExactActor:
             persons, objects: the chosen ones; rows: their places among all that the file holds.
         """
         whole = ExactShape.from_dict(shape)
+        if (whole.bones, whole.n_persons, whole.n_objects) != (len(skeleton), rows.of_persons, rows.of_objects):
+            raise ValueError("the networks have other numbers of bones, persons or objects than the metadata names")
         lower, upper = (
             tuple(corners[row] for row in rows.objects) if corners else ()
             for corners in (whole.object_lower, whole.object_upper)
@@ -215,11 +217,15 @@ class ExactActor:
             whole, n_persons=len(persons), n_objects=len(objects), object_lower=lower, object_upper=upper,
             object_slots=whole.object_slots if objects else 0,
         )  # fmt: skip
-        model = ExactModel(wanted)
-        state = {name: _cut(tensors, name, value.shape, whole.bones) for name, value in model.state_dict().items()
+        with torch.device("meta"):  # all shapes, and no memory: what the file does not hold is never asked for
+            planned, stated = ExactModel(wanted).state_dict(), ExactModel(whole).state_dict()
+        for name, value in stated.items():
+            tensors.expect(name, tuple(value.shape))
+        state = {name: _cut(tensors, name, value.shape, whole.bones) for name, value in planned.items()
                  if not name.startswith("codes.")}  # fmt: skip
         state["codes.persons"] = tensors.rows("codes.persons", rows.persons)
         state["codes.objects"] = tensors.rows("codes.objects", rows.objects)
+        model = ExactModel(wanted)
         model.load_state_dict(state)
         return cls(model.to(device), skeleton, persons, objects, object_distance)
 

@@ -6,8 +6,15 @@ from dataclasses import asdict, dataclass, field
 
 from chona_model.deform.skinning import DeformShape
 from chona_model.field.radiance import FieldShape
+from chona_model.plain_json import convert
 
 Corner = tuple[float, float, float]
+
+MOST = 1 << 16
+"""Of bones, identities or numbers of a code."""
+
+FARTHEST = 1e4
+"""Metres; no figure and no canonical space is larger."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,12 @@ class ExactShape:
     radiance: FieldShape = field(default_factory=FieldShape)
 
     def __post_init__(self) -> None:
+        counts = (self.bones - 1, self.object_slots, self.n_persons, self.n_objects, self.code_size - 1)
+        corners = (self.lower, self.upper, *self.object_lower, *self.object_upper)
+        sound = all(0 <= count < MOST for count in counts)
+        sound = sound and all(abs(value) <= FARTHEST for corner in corners for value in corner)
+        if not (sound and 0.0 <= self.object_distance <= FARTHEST and 0.0 <= self.reach <= FARTHEST):
+            raise ValueError(f"sizes of an exact model out of range: {str(self)[:200]}")
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"canonical space needs lower < upper, got {self.lower} and {self.upper}")
         if len(self.object_lower) != len(self.object_upper) or len(self.object_lower) not in {0, self.n_objects}:
@@ -70,8 +83,8 @@ class ExactShape:
 
     @classmethod
     def from_dict(cls, values: dict) -> ExactShape:
-        """Inverse of ``as_dict``."""
+        """Inverse of ``as_dict``; ``ValueError`` or ``TypeError`` where the values describe none."""
         corners = {name: tuple(tuple(corner) for corner in values[name]) for name in ("object_lower", "object_upper")}
         box = {name: tuple(values[name]) for name in ("lower", "upper")}
         nested = {"deform": DeformShape(**values["deform"]), "radiance": FieldShape(**values["radiance"])}
-        return cls(**{**values, **corners, **box, **nested})
+        return convert(asdict(cls(**{**values, **corners, **box, **nested})), cls)

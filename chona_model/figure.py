@@ -29,6 +29,10 @@ FARTHEST = 1e6
 products of two leave its range sooner or later."""
 
 
+class PoseError(ValueError):
+    """A pose that cannot be rendered: broken bones or objects, or more of them than the model has room for."""
+
+
 def object_places(object_distance: float, slots: int) -> np.ndarray:
     """[N, 3] where the objects of each slot stand in canonical space relative to the root joint, metres.
 
@@ -107,15 +111,15 @@ def make_figure(
         object_slots: how many object bones the model has; missing ones are marked absent.
 
     Raises:
-        ValueError: neither person nor object, more objects than slots, or a matrix that is not finite or far beyond
+        PoseError: neither person nor object, more objects than slots, or a matrix that is not finite or far beyond
             anything that could be seen; the bone or object is named.
     """
     bones = len(rig.skeleton)
     objects = len(world_from_object)
     if world_from_bone is None and objects == 0:
-        raise ValueError("a figure needs a person or an object, got neither")
+        raise PoseError("a figure needs a person or an object, got neither")
     if objects > object_slots:
-        raise ValueError(f"the pose has {objects} objects, the model has room for {object_slots}")
+        raise PoseError(f"the pose has {objects} objects, the model has room for {object_slots}")
     names = [f"bone '{name}'" for name in rig.skeleton.names] + [f"object {slot + 1}" for slot in range(object_slots)]
     if world_from_bone is not None:
         _refuse_unless(_finite(world_from_bone), names, "has a matrix that is not finite")
@@ -153,10 +157,10 @@ def _finite(matrices: np.ndarray) -> np.ndarray:
 
 
 def _refuse_unless(fine: np.ndarray, names: Sequence[str], complaint: str) -> None:
-    """Raises a ``ValueError`` about the first of ``names`` that is not ``fine``."""
+    """Raises a ``PoseError`` about the first of ``names`` that is not ``fine``."""
     if not fine.all():
         name = names[int(np.argmin(fine))]
-        raise ValueError(f"the pose's {name} {complaint}; expected a rigid matrix, check its animation")
+        raise PoseError(f"the pose's {name} {complaint}; expected a rigid matrix, check its animation")
 
 
 def pose_code_size(bones: int, object_slots: int) -> int:

@@ -16,10 +16,14 @@ from chona_model.cryptomatte import collect
 from chona_model.data.dataset import Pose
 from chona_model.formats.exr import FrameLayers
 from chona_model.formats.shot import Shot
+from chona_model.grid_actor import GridActor
 from chona_model.passes import DEFAULT_PASSES, Passes
 from chona_model.samples import beside_each_other, composite, over_each_other
 from chona_model.settings import RenderSettings
 from chona_model.upsampling import render_scaled
+
+SAMPLES = 16
+"""So many times the memory of a pixel that is looked at, roughly, take its samples that are kept."""
 
 NO_DIRECTION = 1e-6
 """Length of a mean normal at which nothing is left of it but rounding."""
@@ -38,13 +42,17 @@ class ShotRenderer:
         actors: what renders each of the shot's actors.
         max_error: bound on every pixel's colour and alpha, see ``adaptive.render_within``; 0 for none.
         blur: what blurs; frames on which a bound is set are sharp.
+        tile: pixels looked at together at most, which bounds memory and changes nothing else; None for the usual.
     """
 
     def __init__(
         self, actors: Sequence[Actor], shot: Shot, settings: RenderSettings, passes: Passes = DEFAULT_PASSES,
-        max_error: float = 0.0, blur: Blur = SHARP,
+        max_error: float = 0.0, blur: Blur = SHARP, tile: int | None = None,
     ) -> None:  # fmt: skip
-        self.blur = blur
+        self.blur, self._tile = blur, tile
+        for actor in actors:
+            if tile is not None and isinstance(actor, GridActor):
+                actor.tile = tile
         self.actors, self.shot, self.settings, self.passes, self.max_error = actors, shot, settings, passes, max_error
         self.kept = 0
         self._last: dict[tuple[int, RenderSettings], tuple[bytes, Picture]] = {}
@@ -122,13 +130,20 @@ class ShotRenderer:
         both = over_each_other(pictures)
         if not both.any():
             return picture
-        parts = [both & (own.alpha > 0) for own in pictures]
-        samples = [
-            actor.sample(pose, camera, settings, part, self.passes)
-            for actor, pose, part in zip(self.actors, poses, parts, strict=True)
-        ]
-        picture = replace(picture, rays=picture.rays + sum(int(part.sum()) for part in parts))
-        return composite(samples, camera, settings.supersampling, picture, both)
+        rows = camera.height if self._tile is None else max(self._tile // (SAMPLES * camera.width), 1)
+        for top in range(0, camera.height, rows):
+            band = np.zeros_like(both)
+            band[top : top + rows] = both[top : top + rows]
+            if not band.any():
+                continue
+            parts = [band & (own.alpha > 0) for own in pictures]
+            samples = [
+                actor.sample(pose, camera, settings, part, self.passes)
+                for actor, pose, part in zip(self.actors, poses, parts, strict=True)
+            ]
+            picture = replace(picture, rays=picture.rays + sum(int(part.sum()) for part in parts))
+            picture = composite(samples, camera, settings.supersampling, picture, band)
+        return picture
 
     def _picture(
         self, number: int, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None

@@ -16,10 +16,10 @@ from chona_model.actor import EMPTY_DEPTH, Picture, Samples, empty_picture, part
 from chona_model.camera import Camera
 from chona_model.data.dataset import ObjectShape, Person, Pose
 from chona_model.deform.voxels import NodeGrid
-from chona_model.field.grid import GridShape
+from chona_model.grid_checks import check_nodes, check_tensors, checked_sizes
 from chona_model.grid_device import DevicePose, make_device_pose, render_on_device, sample_on_device
 from chona_model.grid_inputs import Surfaces, surfaces_for
-from chona_model.grid_model import GridModel, GridModelShape
+from chona_model.grid_model import GridModel
 from chona_model.grid_view import ReadyPose, View, make_ready, render_view, sample_view
 from chona_model.kernels.grid import fast, layout_of, make_layout
 from chona_model.passes import DEFAULT_PASSES, Passes
@@ -34,12 +34,19 @@ from chona_model.upsampling import render_scaled
 TILE = 1 << 19
 """Pixels looked at together at most: what rays need beyond the picture itself stays under 100 MB."""
 
+OF_IDENTITIES = frozenset({"table", "lower", "person_codes", "object_codes"})
+"""What of the field is kept by identity, or made from sizes."""
+
 KEPT_POSES = 4
 """Poses that stay ready: the cameras and presets of one moment."""
 
 
 class GridActor:
-    """A trained ``GridModel`` and how to look at it."""
+    """A trained ``GridModel`` and how to look at it.
+
+    Attributes:
+        tile: pixels looked at together at most; the picture is the same.
+    """
 
     kind = "grid"
 
@@ -52,6 +59,7 @@ class GridActor:
         self._poses: dict[tuple[Any, ...], ReadyPose | DevicePose] = {}
         self._cells: dict[tuple[bool, float, int], tuple[Occupancy, Surfaces, list[PartCells]]] = {}
         self._double: GridActor | None = None
+        self.tile = TILE
 
     def render(
         self, pose: Pose, camera: Camera, settings: RenderSettings, pixels: np.ndarray | None = None,
@@ -73,7 +81,7 @@ class GridActor:
         ready = actor.ready(pose, settings)
         look: Any = sample_view if isinstance(ready, ReadyPose) else sample_on_device
         window = window_of(ready.part, ready.figure.figure, camera)
-        bands = [look(actor.model, ready, camera, settings, band, pixels, passes) for band in window.bands(TILE)]
+        bands = [look(actor.model, ready, camera, settings, band, pixels, passes) for band in window.bands(actor.tile)]
         return join([no_samples(passes, part_count(pose)), *bands])
 
     def count_rays(self, pose: Pose, camera: Camera, settings: RenderSettings) -> int:
@@ -91,6 +99,7 @@ class GridActor:
             return self
         if self._double is None:
             self._double = GridActor(deepcopy(self.model).double())
+        self._double.tile = self.tile
         return self._double
 
     def _render(
@@ -98,7 +107,7 @@ class GridActor:
     ) -> Picture:
         ready, picture, rays = self.ready(pose, settings), empty_picture(camera, passes, part_count(pose)), 0
         roots = np.zeros(2)
-        for band in window_of(ready.part, ready.figure.figure, camera).bands(TILE):
+        for band in window_of(ready.part, ready.figure.figure, camera).bands(self.tile):
             look: Any = render_view if isinstance(ready, ReadyPose) else render_on_device
             view = look(self.model, ready, camera, settings, band, pixels, passes)
             _fill(picture, view, pose)
@@ -145,7 +154,7 @@ class GridActor:
         model = self.model
         result: dict[str, Tensor] = {}
         for name, value in model.field.state_dict().items():
-            if name not in {"table", "lower", "person_codes", "object_codes"}:
+            if name not in OF_IDENTITIES:
                 result[f"field.{name}"] = value
         for part, identity in enumerate(self._identities()):
             result[f"{identity}.table"] = model.field.table[model.field.table_of[part]].detach().clone()
@@ -194,7 +203,10 @@ class GridActor:
         Args:
             persons, objects: the chosen ones; rows: their places among all that the file holds.
         """
-        sizes = GridModelShape(**{**shape["sizes"], "field": GridShape(**shape["sizes"]["field"])})
+        sizes = checked_sizes(shape, rows.of_persons, rows.of_objects)
+        places = (*rows.persons, *(rows.of_persons + row for row in rows.objects))
+        prefixes = (*(f"person.{name}" for name in persons), *(f"object.{name}" for name in objects))
+        check_tensors(sizes, shape, tensors, len(skeleton), dict(zip(prefixes, places, strict=True)), rows)
         if not objects and len(shape["parts"]) > rows.of_persons:
             sizes = replace(sizes, object_slots=0)
         grids = [
@@ -204,9 +216,11 @@ class GridActor:
             )
             for name, values in zip(persons, (shape["grids"][row] for row in rows.persons), strict=True)
         ]  # fmt: skip
+        for name, grid in zip(persons, grids, strict=True):
+            check_nodes(name, grid.nodes, len(grid.points))
         lower, upper = (np.array([part[corner] for part in shape["parts"]]) for corner in ("lower", "upper"))
-        chosen = [*rows.persons, *(rows.of_persons + row for row in rows.objects)]
-        model = GridModel(skeleton, persons, objects, object_distance, sizes, grids, (lower[chosen], upper[chosen]))
+        boxes = (lower[list(places)], upper[list(places)])
+        model = GridModel(skeleton, persons, objects, object_distance, sizes, grids, boxes)
         actor = cls(model)
         actor._lay_out(shape, (upper - lower).max(axis=0), rows)
         actor._take(tensors, rows)
@@ -245,7 +259,10 @@ class GridActor:
                 for name in tensors.under(prefix)
             }
 
-        field.load_state_dict(own("field."), strict=False)
+        missing, unknown = field.load_state_dict(own("field."), strict=False)
+        lost = [*(name for name in missing if name not in OF_IDENTITIES), *unknown]
+        if lost:
+            raise ValueError(f"'field.{lost[0]}' is missing, or one too many")
         field.person_codes = nn.Parameter(_codes(tensors, "codes.persons", rows.persons))
         field.object_codes = nn.Parameter(_codes(tensors, "codes.objects", rows.objects))
         for index, name in enumerate(self.persons):
@@ -254,7 +271,7 @@ class GridActor:
 
 def _codes(tensors: TensorReader, name: str, rows: Sequence[int]) -> Tensor:
     """Identity codes; where there is no identity, the zeros that an absent one has."""
-    return tensors.rows(name, rows) if rows else torch.zeros(1, tensors.shape(name)[1])
+    return tensors.rows(name, rows).float() if rows else torch.zeros(1, tensors.shape(name)[1])
 
 
 def _fill(picture: Picture, view: View, pose: Pose) -> None:

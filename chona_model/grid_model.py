@@ -53,6 +53,11 @@ class GridModelShape:
     turns_objects: bool = True
     reach: float = 0.0
 
+    def __post_init__(self) -> None:
+        cells = all(1e-4 <= cell <= 10.0 for cell in (self.node_cell, self.node_reach, self.occupancy_cell))
+        if not (cells and 0 <= self.offset_rank <= 256 and 0 <= self.object_slots <= 64 and 0.0 <= self.reach <= 100.0):
+            raise ValueError(f"sizes of a grid model out of range: {self}")
+
 
 @dataclass(frozen=True)
 class PosedFigure:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from chona_model.formats.model_file import file_hash, read_header
+from chona_model.formats.model_file import check_trade, file_hash, read_header
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -18,6 +18,8 @@ def describe(path: Path) -> dict[str, Any]:
         ModelFileError: missing, damaged, or of another version.
     """
     header = read_header(path)
+    if header.trade is not None:
+        check_trade(path, header.trade)
     heights = {name: _height(person) for name, person in header.persons.items()}
     sizes = {name: _size(shape) for name, shape in header.objects.items()}
     return {

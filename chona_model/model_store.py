@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import save_file
 
 from chona_model.actor import Actor
 from chona_model.data.dataset import ObjectShape, Person
-from chona_model.formats.atomic import atomic_path
 from chona_model.formats.model_file import FORMAT, VERSION, ModelFileError, ModelHeader, read_header
+from chona_model.formats.tensor_file import write_tensors
+from chona_model.memory import was_short_of_memory
+from chona_model.plain_json import shortened
 from chona_model.tensor_reader import IdentityRows, TensorReader
 
 
@@ -36,12 +37,8 @@ def save_actor(path: Path, actor: Actor, method: str, settings: dict[str, Any], 
         "training": training,
         "shape": actor.shape(),
     }
-    with atomic_path(path) as temporary:
-        save_file(
-            {name: tensor.detach().cpu().contiguous() for name, tensor in actor.tensors().items()},
-            temporary,
-            metadata={"chona": json.dumps(content)},
-        )
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in actor.tensors().items()}
+    write_tensors(path, tensors, {"chona": json.dumps(content)})
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def load_with_report(
     all_persons, all_objects = list(header.persons), list(header.objects)
     rows = IdentityRows(
         tuple(all_persons.index(name) for name in people), tuple(all_objects.index(name) for name in things),
-        len(all_persons),
+        len(all_persons), len(all_objects),
     )  # fmt: skip
     try:
         with TensorReader(path) as tensors:
@@ -106,8 +103,12 @@ def load_with_report(
             left = (*(name for name in all_persons if name not in people),
                     *(name for name in all_objects if name not in things))  # fmt: skip
             return actor, LoadReport(tuple(people), tuple(things), left, dict(tensors.read), tensors.total_bytes)
-    except (SafetensorError, KeyError, IndexError, TypeError, RuntimeError) as error:
-        raise ModelFileError(f"{path} does not hold the tensors its metadata names ({error}); copy it again") from error
+    except (SafetensorError, LookupError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError) as error:
+        if was_short_of_memory(error):
+            raise MemoryError(str(error)) from error
+        raise ModelFileError(
+            f"{path} does not hold the tensors its metadata names ({shortened(error)}); copy it again"
+        ) from error
 
 
 def _kind(header: ModelHeader) -> Any:

@@ -10,9 +10,8 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from chona_model.formats.atomic import write_bytes
+from chona_model.plain_json import JsonError, convert, decode, read_text
 from chona_model.settings import PRESETS, RENDER_PRESETS, RenderSettings, SettingsError
 
 FORMAT, VERSION = "chona-preset", 1
@@ -90,15 +89,12 @@ def read_preset(path: Path) -> RenderSettings:
         SettingsError: it is none; the message names the file and the field.
     """
     try:
-        text = path.read_bytes()
-        if len(text) > MAX_BYTES:
-            raise SettingsError(f"{path} has {len(text)} bytes, a preset at most {MAX_BYTES}; give another file")
-        content = msgspec.json.decode(text)
+        content = decode(read_text(path, MAX_BYTES), Any)
         if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
             raise SettingsError(f"{path} is no preset of version {VERSION}; 'chona trade --save-preset' makes one")
         _check_fields(content.get("settings"), RenderSettings, "", path)
-        return msgspec.convert(content["settings"], RenderSettings)
-    except (OSError, msgspec.MsgspecError) as error:
+        return convert(content["settings"], RenderSettings)
+    except (OSError, JsonError) as error:
         raise SettingsError(f"cannot use the preset {path}: {error}; save it again") from error
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
+import signal
 import sys
+import threading
 import time
+from collections.abc import Callable
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 BEGAN = time.perf_counter()
@@ -13,6 +17,33 @@ BEGAN = time.perf_counter()
 
 KEEP_BUFFER, KEEP_TOTAL = 1 << 25, 1 << 30
 """Freed buffers up to this size stay with the process, up to this much in all, bytes; glibc refuses a larger first."""
+
+
+GRACE_SECONDS = 3.0
+"""For the step that a job is in when its parent ends."""
+
+
+def end_with_parent(request: Callable[[], None]) -> None:
+    """Ends this process soon after whoever holds the other end of its standard input has closed it, or has ended.
+
+    Args:
+        request: asks the job to end after its step.  What still runs after ``GRACE_SECONDS`` is killed, with all that
+            it has started; files are whole or absent even then.
+    """
+
+    def watch() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 4096):  # not through sys.stdin, whose lock a thread must not hold at the end
+                pass
+        request()
+        if sys.platform != "win32":  # the system's own alarm rings also where no thread gets its turn any more
+            signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS + 0.5)
+        time.sleep(GRACE_SECONDS)
+        if sys.platform == "win32":
+            os._exit(1)
+        os.killpg(0, signal.SIGKILL) if os.getpgrp() == os.getpid() else os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def tune() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import sys
 import threading
@@ -31,10 +32,14 @@ class Cancel:
 
     A second SIGINT raises KeyboardInterrupt: the user does not want to wait for the step to end.  Outside the main
     thread no handler can be installed; there the flag is set by ``request`` alone.
+
+    Attributes:
+        requested: the flag; continued: how often the process was stopped (SIGSTOP, Ctrl-Z) and goes on.
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self.continued = 0
         self._interrupted = False
         self._before: dict[int, Any] = {}
 
@@ -46,6 +51,8 @@ class Cancel:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._before[number] = signal.signal(number, self._handle)
+            if sys.platform != "win32":
+                self._before[signal.SIGCONT] = signal.signal(signal.SIGCONT, self._go_on)
         return self
 
     def __exit__(
@@ -55,6 +62,9 @@ class Cancel:
             # None stands for a handler that was not installed from Python and cannot be put back by it.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
         self._before.clear()
+
+    def _go_on(self, _number: int, _frame: FrameType | None) -> None:
+        self.continued += 1
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         self.requested = True
@@ -76,6 +86,7 @@ class Progress:
         clock: seconds that only grow.
 
     Attributes:
+        quiet: whether nothing is written: of several processes of one job, one reports.
         job: name given to ``start``.
         ended: ``result``, ``cancelled`` or ``error`` once the job has ended, else None.
     """
@@ -93,6 +104,7 @@ class Progress:
             raise ValueError(f"the progress mode is '{mode}', expected {' or '.join(MODES)}")
         self.mode = mode
         self.cancel = Cancel() if cancel is None else cancel
+        self.quiet = False
         self.job = ""
         self.ended: str | None = None
         self._output = sys.stdout if output is None else output
@@ -125,7 +137,7 @@ class Progress:
         self._started, self._written = self._clock(), -math.inf
         if self.mode == "json":
             self._write({"event": "start", "job": job, "total": total} | ({"done": done} if done else {}))
-        elif self._errors.isatty():
+        elif self._errors.isatty() and not self.quiet:
             from tqdm import tqdm
 
             self._close_bar()
@@ -179,8 +191,9 @@ class Progress:
             self._write({"event": event, "job": self.job, **fields})
 
     def _say(self, line: str) -> None:
-        self._errors.write(f"chona: {line}\n")
-        self._errors.flush()
+        if not self.quiet:
+            self._errors.write(f"chona: {line}\n")
+            self._errors.flush()
 
     def _flush(self, now: float) -> None:
         if self._held is not None:
@@ -188,8 +201,15 @@ class Progress:
             self._held, self._written = None, now
 
     def _write(self, event: Mapping[str, Any]) -> None:
-        self._output.write(json.dumps(_plain(event), allow_nan=False, ensure_ascii=False) + "\n")
-        self._output.flush()
+        if self.quiet:
+            return
+        try:
+            self._output.write(json.dumps(_plain(event), allow_nan=False, ensure_ascii=False) + "\n")
+            self._output.flush()
+        except BrokenPipeError:  # whoever started the job has ended: the step is finished, and what it gave is kept
+            self.cancel.request()
+            with open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - no path
+                os.dup2(nowhere.fileno(), self._output.fileno())
 
     def _close_bar(self) -> None:
         if self._bar is not None:

@@ -14,16 +14,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import msgspec
 import numpy as np
 
 from chona_model.actor import Actor
-from chona_model.camera import Camera
+from chona_model.camera import Camera, CameraError
 from chona_model.data.dataset import Pose
+from chona_model.figure import PoseError
 from chona_model.formats.model_file import ModelFileError
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.frame import ShotRenderer
 from chona_model.model_store import load_actor
 from chona_model.passes import Passes
+from chona_model.plain_json import JsonError, decode, shortened
 from chona_model.settings import RENDER_PRESETS
 from chona_model.shot_models import find_models
 from chona_model.skeleton import translation
@@ -41,6 +44,19 @@ KEPT_MODELS = 4
 
 class RequestError(ValueError):
     """Input that is no request: what follows in the stream cannot be understood either."""
+
+
+class _Line(msgspec.Struct):
+    """What a request begins with."""
+
+    request: int
+    preset: str
+    bytes: int
+    scale: float = 1.0
+
+
+REFUSED = (ShotError, ModelFileError, PoseError, CameraError, KeyError, RequestError, MemoryError, OSError)
+"""What a request can be answered with; anything else is a fault of this program."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +85,18 @@ def read_request(stream: BinaryIO) -> Request | None:
     if not line:
         return None
     try:
-        content = json.loads(line)
-        number, preset, size = int(content["request"]), str(content["preset"]), int(content["bytes"])
-        scale = float(content.get("scale", 1.0))
-    except (ValueError, TypeError, KeyError) as error:
+        asked = decode(line, _Line)
+    except JsonError as error:
         raise RequestError(
-            f"a request begins with {line[:80]!r} ({type(error).__name__}: {error}), expected one line of JSON with "
-            "request, preset and bytes"
+            f"a request begins with {line[:80]!r} ({error}), expected one line of JSON with request, preset and bytes"
         ) from error
+    number, size = asked.request, asked.bytes
     if not 0 < size <= LARGEST_SHOT:
         raise RequestError(f"request {number} announces {size} bytes, expected 1 to {LARGEST_SHOT}")
     shot = stream.read(size)
     if len(shot) < size:
         raise RequestError(f"request {number} announces {size} bytes and ends after {len(shot)}")
-    return Request(number, preset, scale, shot)
+    return Request(number, asked.preset, asked.scale, shot)
 
 
 class Inbox:
@@ -107,9 +121,10 @@ class Inbox:
                     self._changed.notify()
         except (RequestError, OSError) as problem:
             error = problem
-        with self._changed:
-            self._ended, self._error = True, error
-            self._changed.notify()
+        finally:  # whatever happens here, nobody may wait for ever
+            with self._changed:
+                self._ended, self._error = True, error
+                self._changed.notify()
 
     def next(self) -> tuple[Request | None, list[int]]:
         """Waits for a request; None at the end.  Also the numbers of those that came to nothing since the last call.
@@ -148,8 +163,10 @@ def serve(model: Path, device: str, source: BinaryIO, out: BinaryIO) -> None:
             return
         try:
             _answer(out, models, request)
-        except (ShotError, ModelFileError, KeyError, RequestError) as error:
-            _say(out, {"event": "error", "request": request.number, "message": " ".join(str(error).split())})
+        except BrokenPipeError:
+            raise
+        except REFUSED as error:
+            _say(out, {"event": "error", "request": request.number, "message": shortened(error)})
 
 
 class _Models:
@@ -185,7 +202,7 @@ class _Models:
 def _answer(out: BinaryIO, models: _Models, request: Request) -> None:
     began = time.perf_counter()
     if request.preset not in RENDER_PRESETS:
-        raise RequestError(f"the preset is '{request.preset}', expected one of {', '.join(RENDER_PRESETS)}")
+        raise RequestError(f"the preset is '{shortened(request.preset)}', expected one of {', '.join(RENDER_PRESETS)}")
     if not 0.0 < request.scale <= 1.0:
         raise RequestError(f"the scale is {request.scale}, expected more than 0 and at most 1")
     shot: Shot = read_shot(io.BytesIO(request.shot))

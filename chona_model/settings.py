@@ -5,7 +5,6 @@ Frozen dataclasses, checked when they are made and written into every output.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 PRESETS = ("draft", "preview", "final", "exact")
@@ -26,8 +25,8 @@ class SettingsError(ValueError):
 
 
 def _between(name: str, value: float, low: float, high: float) -> None:
-    if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
-        raise SettingsError(f"the setting '{name}' is {value}, expected a number from {low:g} to {high:g}")
+    if not (isinstance(value, int | float) and low <= value <= high):
+        raise SettingsError(f"the setting '{name}' is {str(value)[:40]}, expected a number from {low:g} to {high:g}")
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,12 @@ from chona_model.actor import Actor
 from chona_model.formats.model_file import ModelHeader, file_hash, read_header
 from chona_model.formats.shot import Shot, ShotActor, ShotError
 from chona_model.model_store import load_with_report
+from chona_model.plain_json import shortened
 from chona_model.sight import shown_identities
 
 SUFFIX = ".safetensors"
+LONGEST_PATH = 1000
+"""Characters of a path; systems take a few thousand bytes."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +111,14 @@ def _path(member: ShotActor, first: Path, folder: Path | None) -> Path:
     if member.model is None:
         return first
     path = Path(member.model)
-    who = f"actor '{member.name}' is of the model '{member.model}'"
-    if path.suffix != SUFFIX:
+    who = f"actor '{member.name}' is of the model '{shortened(member.model)}'"
+    if path.suffix != SUFFIX or "\0" in member.model or len(member.model) > LONGEST_PATH:
         raise ShotError(f"{who}, expected a {SUFFIX} file; choose one in the scene and write the shot again")
     if not path.is_absolute():
         if folder is None:
             raise ShotError(f"{who}, a relative path in a shot that has no folder; expected an absolute one")
         path = folder / path
-    if not path.is_file():
+    if not os.path.isfile(path):  # noqa: PTH113 - Path's own raises where a part is too long for a name
         raise ShotError(f"{who}, and there is no file {path}; copy the model there, or write the shot again")
     return path
 

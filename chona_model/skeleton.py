@@ -24,6 +24,10 @@ LEAF_LENGTH_SHARE = 0.5
 """A bone without children is given this share of its parent bone's length."""
 
 
+MOST_BONES = 2048
+"""Of a body; every one is a column of all skinning weights."""
+
+
 class SkeletonError(ValueError):
     """A skeleton that cannot be animated: cycles, unknown parents, doubled names."""
 
@@ -46,6 +50,8 @@ class Skeleton:
                 f"a skeleton needs as many parents as names and at least one bone, got {len(self.names)} names and "
                 f"{len(self.parents)} parents"
             )
+        if len(self.names) > MOST_BONES:
+            raise SkeletonError(f"a skeleton has {len(self.names)} bones, expected at most {MOST_BONES}")
         doubled = sorted({name for name in self.names if self.names.count(name) > 1})
         if doubled:
             raise SkeletonError(f"bone names must be unique, these occur twice: {', '.join(doubled)}")

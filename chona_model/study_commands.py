@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from chona_model.arguments import UsageError, sources_of, writable_folder
-from chona_model.command_parts import finish, open_sources, resolve_device
+from chona_model.command_parts import finish, open_sources, resolve_device, with_others
 from chona_model.study_line import ADD_STEPS, DEFAULT_MINUTES
 
 if TYPE_CHECKING:
@@ -50,21 +50,23 @@ def add_command(arguments: argparse.Namespace, progress: Progress) -> int:
     from chona_model.formats.model_file import read_header
 
     sources_of(arguments.sources)
-    header = read_header(arguments.model)
     names = _new_names(arguments.identity)
-    out = writable_folder(arguments.out, "--out")
-    dataset, statement = open_sources(arguments)
-    progress.check()
-    device = resolve_device(arguments.device)
-    from chona_model.train.add import add
-    from chona_model.train.run import TrainRun
+    with with_others(progress) as writes:
+        header = read_header(arguments.model)
+        out = writable_folder(arguments.out, "--out") if writes else arguments.out
+        dataset, statement = open_sources(arguments)
+        progress.check()
+        device = resolve_device(arguments.device)
+        from chona_model.train.add import add
+        from chona_model.train.run import TrainRun
 
-    steps = arguments.steps if arguments.steps is not None or arguments.minutes is not None else ADD_STEPS
-    run = TrainRun(
-        method=header.method, minutes=arguments.minutes, steps=steps, image_scale=arguments.image_scale, device=device,
-        seed=arguments.seed, resume=arguments.resume, data_statement=statement, preview_every=arguments.preview_every,
-    )  # fmt: skip
-    model = add(arguments.model, dataset, names, out, run, progress)
+        steps = arguments.steps if arguments.steps is not None or arguments.minutes is not None else ADD_STEPS
+        run = TrainRun(
+            method=header.method, minutes=arguments.minutes, steps=steps, image_scale=arguments.image_scale,
+            device=device, seed=arguments.seed, resume=arguments.resume, data_statement=statement,
+            preview_every=arguments.preview_every,
+        )  # fmt: skip
+        model = add(arguments.model, dataset, names, out, run, progress)
     return finish(progress, f"wrote {model} with {', '.join(names.values())} added", model=str(model))
 
 

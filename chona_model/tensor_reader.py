@@ -20,12 +20,13 @@ class IdentityRows:
     """Places of the chosen identities among all that a model file holds.
 
     Attributes:
-        persons, objects: rows of the file's codes and boxes; of_persons: how many persons the file holds.
+        persons, objects: rows of the file's codes and boxes; of_persons, of_objects: how many the file holds.
     """
 
     persons: tuple[int, ...]
     objects: tuple[int, ...]
     of_persons: int
+    of_objects: int
 
 
 class TensorReader:
@@ -36,6 +37,7 @@ class TensorReader:
 
     Raises:
         SafetensorError: the file is no safetensors file, or lacks a tensor that is asked for.
+        ValueError: a tensor holds numbers that are not finite.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,6 +82,22 @@ class TensorReader:
         views = [self._file.get_slice(name) for name in self.names]
         return sum(_BYTES[view.get_dtype()] * torch.Size(view.get_shape()).numel() for view in views)
 
+    def expect(self, name: str, shape: tuple[int, ...], dtype: str = "F") -> None:
+        """Checks a tensor before any memory is asked for it, or for what is as large as it.
+
+        Args:
+            dtype: how the safetensors name of its type begins, such as ``F`` or ``I32``.
+
+        Raises:
+            ValueError: it has another shape or type.  SafetensorError: there is none.
+        """
+        view = self._file.get_slice(name)
+        found, kind = tuple(view.get_shape()), view.get_dtype()
+        if found != shape or not kind.startswith(dtype):
+            raise ValueError(f"'{name}' is {kind} {list(found)}, expected {dtype} {list(shape)}")
+
     def _taken(self, name: str, tensor: Tensor) -> Tensor:
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise ValueError(f"'{name}' holds numbers that are not finite")
         self.read[name] = self.read.get(name, 0) + tensor.numel() * tensor.element_size()
         return tensor

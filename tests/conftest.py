@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+# Commands keep a log in the home folder, which is the user's.
+os.environ.setdefault("CHONA_LOGS", str(Path(tempfile.gettempdir()) / "chona-test-logs"))
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,6 @@ views with parts missing are skipped and counted in ``Dataset.gaps``: a person w
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections import Counter, defaultdict
@@ -29,12 +28,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera, CameraError
+from chona_model.camera import Camera, CameraError, is_rotation
 from chona_model.data.behave_objects import read_object_shape
-from chona_model.data.body_model import BodyModel, find_body_model, read_body_model, reduced_pose
+from chona_model.data.body_model import LARGEST_FIT, BodyModel, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
 from chona_model.data.lens import Lens
 from chona_model.data.restricted_pickle import read_pickle
+from chona_model.plain_json import JsonError, parse, read_text
 from chona_model.skeleton import SMPL
 
 UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -42,6 +42,8 @@ UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0,
 
 OBJECT_MASKS = ("obj_rend_mask.jpg", "obj_rend_mask.png", "obj_mask.jpg", "obj_mask.png")
 PERSON_MASKS = ("person_mask.jpg", "person_mask.png")
+MOST_KINECTS = 64
+LONGEST_PATH = 1000
 OBJECT_FOLDERS = {"basketball": "sports ball", "yogaball": "sports ball", "chairblack": "chair", "chairwood": "chair"}
 """BEHAVE names some fits by the detector's category and not by the object."""
 
@@ -163,9 +165,11 @@ def _read_sequence(folder: Path) -> _Sequence:
     if len(parts) < 3:
         raise DatasetError(f"the sequence folder is called '{folder.name}', expected DATE_SUBJECT_OBJECT[_ACTION]")
     gender, kinects = str(info.get("gender", "male")), info.get("kinects", [0, 1, 2, 3])
-    if not (isinstance(kinects, list) and kinects and all(isinstance(k, int) for k in kinects)):
+    if not re.fullmatch(r"\w{1,20}", gender):
+        raise DatasetError(f"{folder / 'info.json'}: gender is {gender[:60]!r}, expected male, female or neutral")
+    if not (isinstance(kinects, list) and kinects and all(k in range(MOST_KINECTS) for k in kinects)):
         raise DatasetError(
-            f"{folder / 'info.json'}: kinects is {kinects!r}, expected a list of numbers like [0, 1, 2, 3]"
+            f"{folder / 'info.json'}: kinects is {str(kinects)[:60]}, expected a list of numbers like [0, 1, 2, 3]"
         )
     return _Sequence(folder.name, folder, parts[1], parts[2], gender, tuple(kinects), info)
 
@@ -179,7 +183,7 @@ def _read_frames(sequence: _Sequence, wanted: set[str] | None, gaps: Counter[str
             continue
         folder = present[name]
         body = _read_fit(folder, ("person",), PERSON_FIT, gaps)
-        names = (sequence.object, OBJECT_FOLDERS.get(sequence.object, sequence.object), str(sequence.info.get("cat")))
+        names = (sequence.object, OBJECT_FOLDERS.get(sequence.object, sequence.object), _category(sequence))
         thing = _read_fit(folder, names, OBJECT_FIT, gaps)
         if body is None or thing is None:
             continue
@@ -204,7 +208,7 @@ def _read_fit(folder: Path, names: tuple[str, ...], fit: _Fit, gaps: Counter[str
         wrong = [key for key in ("angle", "trans") if key in arrays and arrays[key].size != 3]
         if wrong:
             raise DatasetError(f"{path}: {wrong[0]} has {arrays[wrong[0]].size} numbers, expected 3")
-        if all(np.isfinite(array).all() for array in arrays.values()):
+        if all((np.abs(array) <= LARGEST_FIT).all() for array in arrays.values()):
             return arrays
         gaps[f"{fit.kind} (not finite)"] += 1
         return None
@@ -261,29 +265,45 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int) -> tuple[Camera, 
         world_from_camera[:3, 3] = rigid["translation"]
         lens = Lens.opencv(np.array(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
         width, height = int(color["width"]), int(color["height"])
+        if not is_rotation(world_from_camera[:3, :3]):
+            raise CameraError("the rotation is not one (to 0.001)")
         camera = Camera(matrix, UPRIGHT @ world_from_camera, width, height)
-    except (KeyError, TypeError, ValueError, CameraError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, CameraError) as error:
         raise DatasetError(
             f"the calibration in {intrinsics} and {pose} is not BEHAVE's: {type(error).__name__} {error}; expected "
-            "color.fx, fy, cx, cy, width, height, and rotation [9], translation [3]"
+            "color.fx, fy, cx, cy, width, height, and rotation [9] (camera to world, row by row), translation [3]"
         ) from error
-    rotation = world_from_camera[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        raise DatasetError(f"{pose}: the rotation is not one (to 0.001); expected camera-to-world, row by row")
     return camera, lens
 
 
 def _calibration_file(root: Path, sequence: _Sequence, key: str, name: str, usual: str) -> Path:
-    """info.json names calibrations relative to its folder, to the root, or where its authors once had them."""
+    """info.json names calibrations relative to its folder, to the root, or where its authors once had them.
+
+    What it names outside of the root is passed over.
+    """
     stated = sequence.info.get(key)
-    places = [sequence.folder / stated, root / stated] if isinstance(stated, str) else []
-    for place in (*places, root / usual):
+    places = [sequence.folder / stated, root / stated] if isinstance(stated, str) and len(stated) < LONGEST_PATH else []
+    for place in (*(place for place in places if _within(place, root)), root / usual):
         if (place / name).is_file():
             return place / name
     raise DatasetError(
         f"{sequence.name} has no calibration {name}: looked in {', '.join(str(p) for p in (*places, root / usual))}; "
         "copy BEHAVE's folder 'calibs' beside 'sequences'"
     )
+
+
+def _within(place: Path, root: Path) -> bool:
+    """Whether a place lies in the root once '..' and links are followed; not where it can be no path."""
+    try:
+        return place.resolve().is_relative_to(root.resolve())
+    except (OSError, ValueError):
+        return False
+
+
+def _category(sequence: _Sequence) -> str:
+    """What info.json says the object is, where that can be a folder's name."""
+    stated = sequence.info.get("cat")
+    return stated if isinstance(stated, str) and re.fullmatch(r"[\w -]{1,60}", stated) else sequence.object
 
 
 def _views(
@@ -307,8 +327,8 @@ def _first(folder: Path, stem: str, endings: tuple[str, ...]) -> Path | None:
 
 def _read_json(path: Path, content: str) -> dict[str, Any]:
     try:
-        parsed = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        parsed = parse(read_text(path))
+    except (OSError, JsonError) as error:
         raise DatasetError(f"cannot read {path}: {error}; expected {content}") from error
     if not isinstance(parsed, dict):
         raise DatasetError(f"{path} holds a {type(parsed).__name__}, expected an object with {content}")

@@ -9,9 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from chona_model.data.dataset import DatasetError, ObjectShape
+from chona_model.plain_json import read_text, shortened
 
 DEFAULT_HALF_EXTENT = 0.6
 """Metres; half the box of an object without a template (the largest of BEHAVE's 20 objects reaches 0.6 m)."""
+
+MOST_BYTES = 1 << 29
+"""Of a template or point cloud (CO3D's have up to 100 MB)."""
+
+MOST_HEADER = 1 << 16
+FARTHEST = 1e9
+"""Of a vertex from the origin, in the file's own unit."""
 
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -59,7 +67,8 @@ def read_object_shape(folder: Path, name: str, gaps: Counter[str]) -> ObjectShap
 def read_obj_vertices(path: Path) -> np.ndarray:
     """[V, 3] vertices of a Wavefront OBJ."""
     try:
-        lines = [line.split()[1:4] for line in path.read_text("latin1").splitlines() if line.startswith("v ")]
+        text = read_text(path, MOST_BYTES).decode("latin1")
+        lines = [line.split()[1:4] for line in text.splitlines() if line.startswith("v ")]
         vertices = np.array(lines, dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read the object template {path}: {error}; expected a Wavefront OBJ") from error
@@ -69,8 +78,8 @@ def read_obj_vertices(path: Path) -> np.ndarray:
 def read_ply_vertices(path: Path) -> np.ndarray:
     """[V, 3] vertices of a PLY, ASCII or binary, whose first element is the vertices."""
     try:
-        content = path.read_bytes()
-        end = content.index(b"end_header\n") + len(b"end_header\n")
+        content = read_text(path, MOST_BYTES)
+        end = content.index(b"end_header\n", 0, MOST_HEADER) + len(b"end_header\n")
         words = [line.split() for line in content[:end].decode("ascii").splitlines()]
         kind = next(word[1] for word in words if word[:1] == ["format"])
         starts = [index for index, word in enumerate(words) if word[:1] == ["element"]]
@@ -89,12 +98,13 @@ def read_ply_vertices(path: Path) -> np.ndarray:
             dtype = np.dtype([(name, order + _PLY_TYPES[letter]) for name, letter in fields])
             records = np.frombuffer(content, dtype=dtype, count=count, offset=end)
             vertices = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-    except (OSError, ValueError, KeyError, IndexError, StopIteration, UnicodeDecodeError) as error:
-        raise DatasetError(f"cannot read the object template {path}: {error!r}; expected a complete PLY") from error
+    except (OSError, ValueError, KeyError, IndexError, StopIteration, OverflowError, MemoryError) as error:
+        told = f"{type(error).__name__} {shortened(error)}"
+        raise DatasetError(f"cannot read the object template {path}: {told}; expected a complete PLY") from error
     return _checked(vertices, path)
 
 
 def _checked(vertices: np.ndarray, path: Path) -> np.ndarray:
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not np.isfinite(vertices).all():
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not (np.abs(vertices) <= FARTHEST).all():
         raise DatasetError(f"the object template {path} has no finite vertices; export it again")
     return vertices

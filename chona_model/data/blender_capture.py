@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,11 +11,20 @@ import numpy as np
 
 from chona_model.camera import Camera, CameraError
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person, Pose, SkinnedSurface, View
+from chona_model.data.paths import check_name
+from chona_model.plain_arrays import ArraysError, read_arrays
+from chona_model.plain_json import JsonError, decode, read_text
 from chona_model.skeleton import Skeleton, SkeletonError
 
 FORMAT = "chona-capture"
 VERSION = 1
 RIGID_TOLERANCE = 1e-4
+FARTHEST = 1e8
+"""Metres from the origin, or any other number of a capture: beyond, nothing is told apart any more."""
+
+
+MOST_SIDE = 65536
+"""Pixels of an image each way."""
 
 
 class _Kind(msgspec.Struct):
@@ -94,13 +102,13 @@ def read_blender_capture(root: Path, sequences: Sequence[str] | None = None) -> 
 def _read_header(root: Path) -> _Capture:
     path = root / "capture.json"
     try:
-        text = path.read_bytes()
-    except OSError as error:
+        text = read_text(path)
+    except (OSError, JsonError) as error:
         raise DatasetError(
             f"cannot read {path}: {error}; it is written last, so the capture was not finished: capture it again"
         ) from error
     try:
-        kind = msgspec.json.decode(text, type=_Kind)
+        kind = decode(text, _Kind)
         if kind.format != FORMAT:
             raise DatasetError(f"{path} is a '{kind.format}', expected a '{FORMAT}'")
         if kind.version != VERSION:
@@ -108,8 +116,8 @@ def _read_header(root: Path) -> _Capture:
                 f"{path} is a capture of version {kind.version}, this program reads version {VERSION}; capture it "
                 "again with the add-on that came with this program"
             )
-        return msgspec.json.decode(text, type=_Capture)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return decode(text, _Capture)
+    except JsonError as error:
         raise DatasetError(f"{path} breaks the format: {error}; capture the scene again") from error
 
 
@@ -120,6 +128,8 @@ def _identities(root: Path, capture: _Capture) -> tuple[Skeleton, dict[str, Pers
     except SkeletonError as error:
         raise DatasetError(f"{path}: {error}") from error
     persons = {}
+    for name in (*capture.persons, *capture.objects):
+        check_name(name, path)
     for name, person in capture.persons.items():
         joints = _array(person.rest_joints, (len(skeleton), 3), f"rest_joints of '{name}' in {path}")
         persons[name] = Person(name, joints, _read_surface(root / "persons" / f"{name}.npz", len(skeleton)))
@@ -138,7 +148,7 @@ def _read_surface(path: Path, bones: int) -> SkinnedSurface | None:
     content = _load(path, ("vertices", "weights", "faces"))
     vertices = _array(content["vertices"], (-1, 3), f"vertices of {path}")
     weights = _array(content["weights"], (len(vertices), bones), f"weights of {path}")
-    faces = np.asarray(content["faces"]).astype(np.int64)
+    faces = _array(content["faces"], (-1, 3), f"faces of {path}").astype(np.int64)
     if faces.ndim != 2 or faces.shape[1] != 3 or (len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices)):
         raise DatasetError(f"faces of {path} do not fit its {len(vertices)} vertices; expected [T, 3] indices")
     total = weights.sum(1, keepdims=True)
@@ -175,12 +185,19 @@ def _read_sequence(
             f"the sequence '{sequence.name}' in {root} uses '{unknown[0] if unknown else sequence.person}', which "
             "capture.json does not describe; capture it again"
         )
-    folder = root / "sequences" / sequence.name
+    if not (1 <= sequence.width <= MOST_SIDE and 1 <= sequence.height <= MOST_SIDE):
+        raise DatasetError(
+            f"the sequence '{sequence.name}' in {root} states {sequence.width}x{sequence.height} pixels, expected 1 to "
+            f"{MOST_SIDE} each way; capture it again"
+        )
+    folder = root / "sequences" / check_name(sequence.name, root / "capture.json")
+    for camera_name in sequence.cameras:
+        check_name(camera_name, root / "capture.json")
     path = folder / "poses.npz"
     arrays = _load(path, ("frames", "world_from_bone", "world_from_object", "intrinsics", "world_from_camera"))
-    frames = np.asarray(arrays["frames"]).astype(np.int64).reshape(-1)
+    frames = _array(arrays["frames"], (-1,), f"frames of {path}").astype(np.int64)
     count, cameras = len(frames), len(sequence.cameras)
-    bones = len(skeleton) if sequence.person is not None else arrays["world_from_bone"].shape[1]
+    bones = len(skeleton) if sequence.person is not None else -1
     world_from_bone = _rigid(arrays, "world_from_bone", (count, bones), path)
     world_from_object = _rigid(arrays, "world_from_object", (count, len(sequence.objects)), path)
     world_from_camera = _rigid(arrays, "world_from_camera", (cameras, count), path)
@@ -223,9 +240,8 @@ def _files(
 
 def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {name: content[name] for name in names}
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        return read_arrays(path, names)
+    except (OSError, ArraysError) as error:
         raise DatasetError(
             f"cannot read {path}: {error}; expected arrays {', '.join(names)}, capture the sequence again"
         ) from error
@@ -240,15 +256,16 @@ def _array(values: object, shape: tuple[int, ...], name: str) -> np.ndarray:
     fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
         raise DatasetError(f"{name} has the shape {array.shape}, expected {shape}")
-    if not np.isfinite(array).all():
-        raise DatasetError(f"{name} holds values that are not finite; capture the scene again")
+    if not (np.abs(array) <= FARTHEST).all():
+        raise DatasetError(f"{name} holds values that are not finite, or beyond {FARTHEST:g}; capture the scene again")
     return array
 
 
 def _rigid(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
     matrices = _array(arrays[name], (*shape, 4, 4), f"{name} of {path}")
     rotation = matrices[..., :3, :3]
-    error = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
+    last = np.abs(matrices[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(initial=0.0)
+    error = max(last, np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0))
     if error > RIGID_TOLERANCE or (np.linalg.det(rotation) < 0).any():
         raise DatasetError(
             f"{name} of {path} holds scaled, sheared or mirrored matrices (by up to {error:.3g}); capture it again"

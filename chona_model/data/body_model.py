@@ -11,7 +11,6 @@ Pose-dependent corrective shapes (``posedirs``) are left out: they move vertices
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,15 @@ from scipy.spatial.transform import Rotation
 
 from chona_model.data.dataset import DatasetError
 from chona_model.data.restricted_pickle import MODEL_BYTES, read_pickle
+from chona_model.plain_arrays import ArraysError, read_arrays
+from chona_model.plain_json import shortened
 from chona_model.skeleton import SMPL, SMPL_NAMES, SMPL_PARENTS, Skeleton, canonical_to_world, forward_kinematics
+
+FARTHEST = 1e3
+"""Metres from the origin, or per unit of a beta, of a body's vertices."""
+
+LARGEST_FIT = 1e5
+"""Metres, radians or betas of a fit: beyond, it is no more use than a NaN."""
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -107,14 +114,17 @@ class BodyModel:
 
 def reduced_pose(pose: np.ndarray) -> np.ndarray:
     """[24, 3] axis-angle rotations of SMPL's bones from SMPL-H's ([156]), SMPL's ([72]) or the body's alone ([66])."""
-    pose = np.asarray(pose, dtype=np.float64).reshape(-1, 3)
+    numbers = np.asarray(pose, dtype=np.float64).reshape(-1)
+    pose = numbers[: len(numbers) // 3 * 3].reshape(-1, 3)
+    if len(numbers) % 3:
+        pose = pose[:0]
     if len(pose) == len(SMPLH):
         return pose[list(_KEPT)]
     if len(pose) == 22:
         return np.concatenate([pose, np.zeros((2, 3))])
     if len(pose) == len(SMPL):
         return pose
-    raise DatasetError(f"a body pose has {pose.size} numbers, expected 156 (SMPL-H), 72 (SMPL) or 66 (body alone)")
+    raise DatasetError(f"a body pose has {numbers.size} numbers, expected 156 (SMPL-H), 72 (SMPL) or 66 (body alone)")
 
 
 def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
@@ -135,29 +145,32 @@ def read_body_model(path: Path) -> BodyModel:
     if missing:
         raise DatasetError(f"{path} lacks {', '.join(missing)}; expected an SMPL or SMPL-H model file")
     vertices, regressor, weights, directions = (
-        np.asarray(content[name], dtype=np.float64) for name in ("v_template", "J_regressor", "weights", "shapedirs")
+        _numbers(content, name, dimensions, path)
+        for name, dimensions in (("v_template", 2), ("J_regressor", 2), ("weights", 2), ("shapedirs", 3))
     )
     count, bones = len(vertices), weights.shape[-1]
     skeleton = {len(SMPL): SMPL, len(SMPLH): SMPLH}.get(bones)
     if skeleton is None:
         raise DatasetError(f"{path} has {bones} joints, expected 24 (SMPL) or 52 (SMPL-H)")
+    parents, faces = (_numbers(content, name, 2, path) for name in ("kintree_table", "f"))
     shapes = {
         "v_template": (vertices.shape, (count, 3)),
         "weights": (weights.shape, (count, bones)),
         "J_regressor": (regressor.shape, (bones, count)),
         "shapedirs": (directions.shape[:2], (count, 3)),
+        "kintree_table": (parents.shape, (2, bones)),
+        "f": (faces.shape, (len(faces), 3)),
     }
     for name, (found, expected) in shapes.items():
         if found != expected:
             raise DatasetError(f"{path}: {name} has the shape {found}, expected {expected}; the file is damaged")
-    parents = np.asarray(content["kintree_table"]).astype(np.int64)[0, 1:]
-    if parents.tolist() != list(skeleton.parents[1:]):
+    if parents[0, 1:].tolist() != list(skeleton.parents[1:]):
         raise DatasetError(
             f"{path} has its {bones} joints in another order than SMPL's files; convert it to that order"
         )
-    if not all(np.isfinite(array).all() for array in (vertices, weights, regressor, directions)):
-        raise DatasetError(f"{path} holds values that are not finite; the file is damaged")
-    faces = np.asarray(content["f"]).astype(np.int64)
+    if ((faces < 0) | (faces >= count)).any() or not (weights.sum(1) > 0).all():
+        raise DatasetError(f"{path} has triangles of vertices, or vertices of bones, that are not there; copy it again")
+    faces = faces.astype(np.int64)
     return BodyModel(
         skeleton, vertices, faces, weights / weights.sum(1, keepdims=True), directions, regressor @ vertices,
         np.einsum("bv,vis->bis", regressor, directions),
@@ -193,11 +206,25 @@ def _along(directions: np.ndarray, betas: np.ndarray) -> np.ndarray:
     return directions[..., : len(betas)] @ betas
 
 
+def _numbers(content: Mapping[str, Any], name: str, dimensions: int, path: Path) -> np.ndarray:
+    """An array of a body model as float64, sizes of its parts and limits of its numbers checked."""
+    try:
+        array = np.asarray(content[name], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: {name} holds something else than numbers ({shortened(error)})") from error
+    if array.ndim != dimensions or array.size == 0:
+        raise DatasetError(
+            f"{path}: {name} has the shape {array.shape}, expected {dimensions} dimensions; the file is damaged"
+        )
+    if not np.isfinite(array).all() or (name in ("v_template", "shapedirs") and np.abs(array).max() > FARTHEST):
+        raise DatasetError(f"{path} holds values that are not finite, or no body's, in {name}; the file is damaged")
+    return array
+
+
 def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {name: content[name] for name in names if name in content}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        return read_arrays(path, names)
+    except (OSError, ArraysError) as error:
         raise DatasetError(
-            f"cannot read the body model {path}: {error}; expected a complete .npz of plain arrays"
+            f"cannot read the body model {path}: {error}; expected a complete .npz of plain arrays ({', '.join(names)})"
         ) from error

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View, load_pixels
+from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View, load_pixels, opened_image
 from chona_model.data.soundness import check_view
 from chona_model.progress import Progress
 from chona_model.skeleton import Skeleton
@@ -193,7 +193,7 @@ def draw_view(dataset: Dataset, view: View, width: int = TILE_WIDTH) -> Image.Im
     scale = width / view.camera.width
     camera = view.camera.scaled(scale)
     pixels = load_pixels(view, scale) if scale <= 1.0 else load_pixels(view)
-    with Image.open(view.image) as source:
+    with opened_image(view.image) as source:
         picture = np.asarray(source.convert("RGB").resize((camera.width, camera.height), Image.Resampling.BOX)).copy()
     if scale <= 1.0:
         for mask, colour in ((pixels.person, _PERSON), (pixels.object, _OBJECT)):

@@ -21,10 +21,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from chona_model.camera import Camera, CameraError
+from chona_model.camera import Camera, CameraError, is_rotation
 from chona_model.data.behave_objects import read_ply_vertices
 from chona_model.data.dataset import Dataset, DatasetError, View
 from chona_model.data.packed_json import read_packed
+from chona_model.data.paths import check_name, named_file
 from chona_model.data.placing import LONGEST_SIDE, STRAYS, hull_points, place, static_pose
 from chona_model.skeleton import SMPL
 
@@ -144,6 +145,7 @@ def _chosen(folders: Sequence[Path], wanted: Sequence[str] | None, root: Path, g
     by_category: dict[str, list[str]] = defaultdict(list)
     for folder in folders:
         for sequence in read_packed(folder / SEQUENCES, list[_Sequence], "CO3D's sequence annotations"):
+            check_name(f"{sequence.category}_{sequence.sequence_name}", folder / SEQUENCES)
             known[sequence.sequence_name] = (folder, sequence)
             by_category[sequence.category].append(sequence.sequence_name)
     asked: dict[str, frozenset[str] | None] = {}
@@ -206,13 +208,9 @@ def _file(folder: Path, path: str | None) -> Path | None:
     """
     if path is None:
         return None
-    parts = Path(path).parts
-    if Path(path).is_absolute() or ".." in parts:
-        raise DatasetError(f"the annotations in {folder} name a file outside of it: {path!r}; refused")
-    for place_ in (folder.parent / path, folder.joinpath(*parts[1:])):
-        if place_.is_file():
-            return place_
-    return None
+    source = f"a file of annotations in {folder}"
+    own = named_file(folder.parent, path, source)
+    return own or named_file(folder, "/".join(Path(path).parts[1:]), source)
 
 
 def _camera(frame: _Frame, folder: Path) -> Camera:
@@ -235,10 +233,7 @@ def _camera(frame: _Frame, folder: Path) -> Camera:
     world_from_camera[:3, :3] = camera_from_world.T
     world_from_camera[:3, 3] = -camera_from_world.T @ OPENCV_FROM_PYTORCH3D @ np.array(viewpoint.T)
     try:
-        if (
-            np.abs(camera_from_world @ camera_from_world.T - np.eye(3)).max() > 1e-3
-            or np.linalg.det(camera_from_world) < 0
-        ):
+        if not is_rotation(camera_from_world):
             raise CameraError("R is not a rotation (to 0.001)")
         intrinsics = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
         return Camera(intrinsics, world_from_camera, width, height)

@@ -6,7 +6,8 @@ Readers convert once (axes, pixel centres, units); nothing after them knows whic
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from PIL import Image
 
 from chona_model.camera import Camera
 from chona_model.data.lens import Lens
+from chona_model.plain_json import shortened
 from chona_model.skeleton import Skeleton
 
 
@@ -175,27 +177,49 @@ class Pixels:
 WIDE_MODES = ("I", "F")
 """Pillow's modes of 16-bit, 32-bit and floating point samples."""
 
+PICTURES = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
+"""Formats of images and masks: Pillow knows others, some of which start other programs."""
 
-def read_image(path: Path, mode: str) -> np.ndarray:
-    """An 8-bit image as a uint8 array, whole or not at all.
+
+@contextmanager
+def opened_image(path: Path) -> Iterator[Image.Image]:
+    """An image file whose size and mode are known and whose pixels are not read yet.
 
     Raises:
-        DatasetError: the file is missing, truncated, no image, or of more than 8 bits a channel.
+        DatasetError: the file is missing, no image, or fails while it is read here.
     """
     try:
-        with Image.open(path) as image:
-            # Pillow clips wider samples to 0…255 without a word: 16 bits turn white, NaN turns black.
-            if image.mode.startswith(WIDE_MODES):
-                raise DatasetError(
-                    f"{path} holds wide samples (Pillow's mode {image.mode}), expected 8 bits a channel; convert it, "
-                    "with 65535 or 1.0 becoming 255"
-                )
-            return np.asarray(image.convert(mode))
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        with Image.open(path, formats=PICTURES) as image:
+            yield image
+    except DatasetError:
+        raise
+    except Exception as error:  # a damaged image fails in any way it likes: the message must still name the file
         raise DatasetError(
-            f"cannot read the image {path}: {error}; expected a complete JPEG or PNG file, copy it again or delete it "
-            "so that it counts as missing"
+            f"cannot read the image {path}: {shortened(error)}; expected a complete JPEG or PNG file, copy it again or "
+            "delete it so that it counts as missing"
         ) from error
+
+
+def read_image(path: Path, mode: str, size: tuple[int, int], words: str) -> np.ndarray:
+    """An 8-bit image as a uint8 array, whole or not at all.
+
+    Args:
+        size: the height and width that it must state; only then its pixels are read.
+        words: what says so, for the message.
+
+    Raises:
+        DatasetError: the file is missing, truncated, no image, of another size, or of more than 8 bits a channel.
+    """
+    with opened_image(path) as image:
+        if (image.height, image.width) != size:
+            raise DatasetError(f"{path} is {image.width}x{image.height} pixels, {words}")
+        # Pillow clips wider samples to 0…255 without a word: 16 bits turn white, NaN turns black.
+        if image.mode.startswith(WIDE_MODES):
+            raise DatasetError(
+                f"{path} holds wide samples (Pillow's mode {image.mode}), expected 8 bits a channel; convert it, "
+                "with 65535 or 1.0 becoming 255"
+            )
+        return np.asarray(image.convert(mode))
 
 
 def load_pixels(view: View, scale: float = 1.0) -> Pixels:
@@ -207,13 +231,9 @@ def load_pixels(view: View, scale: float = 1.0) -> Pixels:
     Raises:
         DatasetError: a file is damaged or the sizes of image, mask and camera differ.
     """
-    rgb = read_image(view.image, "RGB")
-    size = (view.camera.height, view.camera.width)
-    if rgb.shape[:2] != size:
-        raise DatasetError(
-            f"{view.image} is {rgb.shape[1]}x{rgb.shape[0]} pixels, its calibration says {size[1]}x{size[0]}; use the "
-            "images that belong to this calibration"
-        )
+    height, width = size = (view.camera.height, view.camera.width)
+    words = f"its calibration says {width}x{height}; use the images that belong to this calibration"
+    rgb = read_image(view.image, "RGB", size, words)
     person, obj = (_read_mask(path, size, view) for path in (view.person_mask, view.object_mask))
     for path in view.held_masks:
         person = person | _read_mask(path, size, view)
@@ -234,9 +254,8 @@ def load_pixels(view: View, scale: float = 1.0) -> Pixels:
 def _read_mask(path: Path | None, size: tuple[int, int], view: View) -> np.ndarray:
     if path is None:
         return np.zeros(size, dtype=bool)
-    mask = read_image(path, "RGBA")[..., 3] if view.masks.alpha else read_image(path, "L")
-    if mask.shape != size:
-        raise DatasetError(f"{path} is {mask.shape[1]}x{mask.shape[0]} pixels, its image {size[1]}x{size[0]}")
+    pixels = read_image(path, "RGBA" if view.masks.alpha else "L", size, f"its image {size[1]}x{size[0]}")
+    mask = pixels[..., 3] if view.masks.alpha else pixels
     inside = mask > view.masks.above
     if view.lens is None:
         return inside

@@ -10,22 +10,29 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections import OrderedDict
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from chona_model.data.dataset import DatasetError
+from chona_model.plain_json import shortened
 
-FIT_BYTES = 16 << 20
+FIT_BYTES = 1 << 20
 """Limit for one frame's fitted parameters (real ones have 2 to 30 kB)."""
 MODEL_BYTES = 1 << 30
 """Limit for a body model (SMPL-H with 300 shape directions has about 300 MB)."""
+SPARSE_BYTES = 1 << 28
+"""Limit for a sparse matrix made dense (SMPL's joint regressor has 1.3 MB)."""
+MOST_STEPS = 2_000_000
+"""Of a pickle: ZJU-MoCap's longest list of images takes a tenth."""
 
 _SIMPLE_KINDS = "?bhilqBHILQefdgFDSUac"
 """numpy type letters without Python objects, structures or dates."""
+_TYPE = re.compile(r"[A-Za-z?]\d{0,9}")
+_MOST_DIMENSIONS = 32
 
 
 class _Refused(pickle.UnpicklingError):
@@ -90,17 +97,37 @@ def _reconstructor(cls: object, _base: object, _state: object) -> _Record:
     return cls()
 
 
+def _checked_keys(keys: Iterable[Any]) -> None:
+    """Refuses keys whose hash could take for ever: a tuple of tuples of tuples is hashed to its last leaf."""
+    for key in keys:
+        if not isinstance(key, str | int | float | bytes):
+            raise _Refused(f"a key of type {type(key).__name__}")
+
+
+def _ordered(items: Any = ()) -> dict[Any, Any]:
+    """``collections.OrderedDict`` of a list of pairs."""
+    pairs = [(key, value) for key, value in items]
+    _checked_keys(key for key, _ in pairs)
+    return dict(pairs)
+
+
+def _set(items: Any = ()) -> set[Any]:
+    """``set`` and ``frozenset`` of a list."""
+    _checked_keys(items)
+    return set(items)
+
+
 class _NumpyClass:
     """``numpy.ndarray`` as an argument; never called."""
 
 
 _ADMITTED: dict[str, Any] = {
     "_codecs.encode": _encode,
-    "collections.OrderedDict": OrderedDict,
+    "collections.OrderedDict": _ordered,
     **{
         f"{module}.{name}": kind
         for module in ("builtins", "__builtin__")
-        for name, kind in (("set", set), ("frozenset", frozenset), ("object", _NumpyClass), ("bytes", _no_bytes))
+        for name, kind in (("set", _set), ("frozenset", _set), ("object", _NumpyClass), ("bytes", _no_bytes))
     },
     **{
         f"numpy.{core}.{name}": kind
@@ -118,7 +145,71 @@ _ADMITTED: dict[str, Any] = {
 }
 
 
-class _Unpickler(pickle.Unpickler):
+class _File:
+    """What an unpickler reads from: never asked for more than is there, nor more often than is sensible."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._steps = file, 0
+        at = file.tell()
+        self._end = file.seek(0, 2)
+        file.seek(at)
+
+    def read(self, count: int) -> bytes:
+        self._steps += 1
+        if self._steps > MOST_STEPS:
+            raise _Refused(f"more than {MOST_STEPS} steps")
+        return self._file.read(min(count, self._end - self._file.tell()))
+
+    def readline(self) -> bytes:
+        return self._file.readline()
+
+
+_PYTHONS: Any = pickle._Unpickler
+
+
+class _Unpickler(_PYTHONS):
+    """In Python: the one in C fills memory with what a file claims to remember, and cannot be told which keys to take.
+
+    Its table of steps is copied, and the steps that hash or set what they are given look at it first.
+    """
+
+    dispatch: ClassVar[dict[int, Any]] = dict(_PYTHONS.dispatch)
+
+    def _set_item(self) -> None:
+        _checked_keys(self.stack[-2:-1])
+        _PYTHONS.load_setitem(self)
+
+    def _set_items(self) -> None:
+        _checked_keys(self.stack[::2])
+        _PYTHONS.load_setitems(self)
+
+    def _make_dict(self) -> None:
+        _checked_keys(self.stack[::2])
+        _PYTHONS.load_dict(self)
+
+    def _add_items(self) -> None:
+        _checked_keys(self.stack)
+        _PYTHONS.load_additems(self)
+
+    def _make_frozenset(self) -> None:
+        _checked_keys(self.stack)
+        _PYTHONS.load_frozenset(self)
+
+    def _make_bytearray(self) -> None:
+        """As the base class does, which asks for the memory before it looks whether the file has so many bytes."""
+        content = self.read(int.from_bytes(self.read(8), "little"))
+        self.append(bytearray(content))
+
+    def _build(self) -> None:
+        if not isinstance(self.stack[-2], _Record):
+            raise _Refused(f"a state for a {type(self.stack[-2]).__name__}")
+        _PYTHONS.load_build(self)
+
+    dispatch[pickle.SETITEM[0]], dispatch[pickle.SETITEMS[0]] = _set_item, _set_items
+    dispatch[pickle.DICT[0]], dispatch[pickle.ADDITEMS[0]] = _make_dict, _add_items
+    dispatch[pickle.BYTEARRAY8[0]] = _make_bytearray
+    dispatch[pickle.FROZENSET[0]], dispatch[pickle.BUILD[0]] = _make_frozenset, _build
+
     def find_class(self, module: str, name: str) -> Any:
         admitted = _ADMITTED.get(f"{module}.{name}")
         if admitted is not None:
@@ -141,7 +232,7 @@ def read_pickle(path: Path, max_bytes: int = FIT_BYTES) -> Any:
     Raises:
         DatasetError: the file is missing, too large, damaged, or holds anything else; the message names the class.
     """
-    return _read(path, max_bytes, lambda file: _Unpickler(file, encoding="latin1").load())
+    return _read(path, max_bytes, lambda file: _Unpickler(_File(file), encoding="latin1").load())
 
 
 def read_object_npy(path: Path, max_bytes: int = FIT_BYTES) -> Any:
@@ -159,7 +250,7 @@ def _unpacked_npy(file: BinaryIO) -> Any:
         raise ValueError(
             f"an array of shape {shape} and type {dtype}, expected one Python object (numpy.save of a dict)"
         )
-    holder = _Unpickler(file, encoding="latin1").load()
+    holder = _Unpickler(_File(file), encoding="latin1").load()
     items = holder.state[4] if isinstance(holder, _Array) and isinstance(holder.state, tuple) else None
     if not isinstance(items, list) or len(items) != 1:
         raise _Refused("something else than one object in an array without dimensions")
@@ -179,8 +270,8 @@ def _read(path: Path, max_bytes: int, load: Callable[[BinaryIO], Any]) -> Any:
         return _plain(content, {})
     except _Refused as error:
         raise DatasetError(
-            f"{path} holds {error}, which is refused: only numpy arrays and plain containers are read from pickles; "
-            "re-save the file with those alone (for a body model as .npz)"
+            f"{path} holds {shortened(error)}, which is refused: only numpy arrays and plain containers are read from "
+            "pickles; re-save the file with those alone (for a body model as .npz)"
         ) from error
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error}; expected a pickle of numpy arrays") from error
@@ -188,8 +279,8 @@ def _read(path: Path, max_bytes: int, load: Callable[[BinaryIO], Any]) -> Any:
         raise
     except Exception as error:  # a damaged pickle fails in any way it likes: the message must still name the file
         raise DatasetError(
-            f"cannot read {path}: {type(error).__name__}: {error}; expected a complete pickle of numpy arrays, "
-            "copy the file again"
+            f"cannot read {path}: {type(error).__name__}: {shortened(error)}; expected a complete pickle of numpy "
+            "arrays, copy the file again"
         ) from error
 
 
@@ -241,9 +332,10 @@ def _hashable(item: Any, done: dict[int, Any]) -> Any:
 
 def _dtype(record: Any) -> np.dtype[Any]:
     letter = record.arguments[0] if isinstance(record, _Type) else None
-    if not isinstance(letter, str | bytes):
+    letter = letter.decode("latin1") if isinstance(letter, bytes) else letter
+    if not isinstance(letter, str) or not _TYPE.fullmatch(letter):
         raise _Refused("an array of unknown type")
-    dtype = np.dtype(letter if isinstance(letter, str) else letter.decode("latin1"))
+    dtype = np.dtype(letter)
     if dtype.char not in _SIMPLE_KINDS:
         raise _Refused(f"an array of type {dtype} (Python objects or structures)")
     order = record.state[1] if isinstance(record.state, tuple) and len(record.state) > 1 else "|"
@@ -261,8 +353,9 @@ def _filled(data: Any, dtype: np.dtype[Any], shape: Any, order: Any) -> np.ndarr
     data = data.encode("latin1") if isinstance(data, str) else data
     if not isinstance(data, bytes | bytearray) or order not in ("C", "F"):
         raise _Refused("an array without plain bytes")
-    if not (isinstance(shape, tuple) and all(isinstance(length, int) and length >= 0 for length in shape)):
-        raise _Refused(f"an array of shape {shape!r}")
+    plain = isinstance(shape, tuple) and len(shape) <= _MOST_DIMENSIONS
+    if not (plain and all(isinstance(length, int) and 0 <= length < 1 << 48 for length in shape)):
+        raise _Refused("an array of no possible shape")
     if math.prod(shape) * dtype.itemsize != len(data):
         raise _Refused(f"an array of shape {shape} and type {dtype} with {len(data)} bytes")
     array = np.frombuffer(data, dtype=dtype).reshape(shape, order=order)
@@ -272,8 +365,10 @@ def _filled(data: Any, dtype: np.dtype[Any], shape: Any, order: Any) -> np.ndarr
 def _sparse(record: _Sparse, state: Any) -> np.ndarray:
     """Dense array of a csc or csr matrix, its indices checked here and not by scipy's C code."""
     shape = state.get("_shape", state.get("shape")) if isinstance(state, dict) else None
-    if not (isinstance(shape, tuple) and len(shape) == 2) or math.prod(shape) * 8 > MODEL_BYTES:
-        raise _Refused(f"a {record.label} of shape {shape!r}")
+    if not (isinstance(shape, tuple) and len(shape) == 2 and all(0 <= length < 1 << 48 for length in shape)):
+        raise _Refused(f"a {record.label} of no possible shape")
+    if math.prod(shape) * 8 > SPARSE_BYTES:
+        raise _Refused(f"a {record.label} of shape {shape!r}, more than {SPARSE_BYTES} bytes")
     shape = (int(shape[0]), int(shape[1]))
     by_column = "csc" in record.label
     starts, indices, data = (np.asarray(state[name]).reshape(-1) for name in ("indptr", "indices", "data"))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 from chona_model.data.dataset import DatasetError
+from chona_model.plain_json import JsonError, parse, read_text, shortened
 
 _FRAME = re.compile(r"t\d+(\.\d+)?")
 _MAX_REFERENCES = 8
@@ -29,8 +29,8 @@ def read_split(text: str) -> tuple[str, ...]:
         raise DatasetError(f"the split is '{text}', expected FILE:KEY, for example splits.json:compositional.train")
     path = Path(file)
     try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        content = parse(read_text(path))
+    except (OSError, JsonError) as error:
         raise DatasetError(f"cannot read the split file {path}: {error}; expected JSON") from error
     for _ in range(_MAX_REFERENCES):
         value, names = _walk(content, key, path)
@@ -85,4 +85,4 @@ def _of_set_list(entry: Any) -> Any:
 
 
 def _keys(value: Any) -> str:
-    return f"it has {', '.join(value)}" if isinstance(value, dict) else "nothing lies below it"
+    return f"it has {shortened(', '.join(value))}" if isinstance(value, dict) else "nothing lies below it"

@@ -21,16 +21,19 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from PIL import Image
 
-from chona_model.camera import Camera, CameraError
-from chona_model.data.dataset import Dataset, DatasetError, MaskRule, View
+from chona_model.camera import Camera, CameraError, is_rotation
+from chona_model.data.dataset import Dataset, DatasetError, MaskRule, View, opened_image
 from chona_model.data.lens import Lens
+from chona_model.data.paths import named_file
 from chona_model.data.placing import LONGEST_SIDE, Placing, hull_points, place, static_pose
+from chona_model.plain_json import JsonError, decode, read_text
 from chona_model.skeleton import SMPL
 
 PATTERN = "transforms*.json"
 MAX_BYTES = 256 << 20
+MOST_SIDE = 1 << 20
+"""Pixels; a stated width or height beyond is no image's."""
 RAY_SHARE = 0.25
 ENDINGS = ("", ".png", ".jpg", ".jpeg")
 """NeRF's synthetic scenes leave the ending out."""
@@ -177,10 +180,8 @@ def _views(file: _File, gaps: Counter[str]) -> list[View]:
 
 def _read(path: Path) -> _Scan:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DatasetError(f"{path} has {path.stat().st_size} bytes, at most {MAX_BYTES} are expected")
-        return msgspec.json.decode(path.read_bytes(), type=_Scan)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        return decode(read_text(path, MAX_BYTES), _Scan)
+    except (OSError, JsonError) as error:
         raise DatasetError(
             f"cannot read {path}: {error}; expected JSON with frames, each with file_path and transform_matrix"
         ) from error
@@ -192,20 +193,15 @@ def _located(folder: Path, name: str) -> Path | None:
     Raises:
         DatasetError: the name leads out of the scan's folder.
     """
-    name = name.replace("\\", "/")
-    if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise DatasetError(f"the scan in {folder} names a file outside of it: {name!r}; refused")
-    return next((path for path in (folder / f"{name}{ending}" for ending in ENDINGS) if path.is_file()), None)
+    found = (named_file(folder, name + ending, f"the scan in {folder}") for ending in ENDINGS)
+    return next((path for path in found if path is not None), None)
 
 
 def _mask(folder: Path, frame: _Frame, image: Path) -> tuple[Path | None, MaskRule]:
     if frame.mask_path is not None:
         return _located(folder, frame.mask_path), MaskRule()
-    try:
-        with Image.open(image) as picture:
-            return (image if picture.mode in _ALPHA_MODES else None), MaskRule(alpha=True)
-    except OSError as error:
-        raise DatasetError(f"cannot read the image {image}: {error}; copy it again") from error
+    with opened_image(image) as picture:
+        return (image if picture.mode in _ALPHA_MODES else None), MaskRule(alpha=True)
 
 
 def _camera(path: Path, scan: _Scan, frame: _Frame, image: Path) -> tuple[Camera, Lens | None]:
@@ -219,21 +215,20 @@ def _camera(path: Path, scan: _Scan, frame: _Frame, image: Path) -> tuple[Camera
             f"{path}: the camera is '{model}', expected one of {', '.join(CAMERA_MODELS)}; undistort it first"
         )
     if field("w") is None or field("h") is None:
-        with Image.open(image) as picture:
+        with opened_image(image) as picture:
             width, height = picture.size
     else:
-        width, height = round(field("w") or 0), round(field("h") or 0)
+        width, height = round(min(field("w") or 0, MOST_SIDE)), round(min(field("h") or 0, MOST_SIDE))
     focal_x, angle = field("fl_x"), field("camera_angle_x")
     if focal_x is None and angle is not None and 0.0 < angle < np.pi:
         focal_x = 0.5 * width / np.tan(0.5 * angle)
-    matrix = np.array(frame.transform_matrix, dtype=np.float64)
     try:
+        matrix = np.array(frame.transform_matrix, dtype=np.float64)
         if focal_x is None:
             raise ValueError("there is neither fl_x nor camera_angle_x")
         if matrix.shape != (4, 4):
             raise ValueError(f"transform_matrix has the shape {matrix.shape}, expected 4x4")
-        rotation = matrix[:3, :3]
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        if not is_rotation(matrix[:3, :3]):
             raise ValueError("transform_matrix is not rigid (to 0.001)")
         focal_y, centre_x, centre_y = field("fl_y") or focal_x, field("cx"), field("cy")
         intrinsics = np.array(
@@ -246,5 +241,5 @@ def _camera(path: Path, scan: _Scan, frame: _Frame, image: Path) -> tuple[Camera
             raise ValueError("k4 belongs to a fisheye or a rational lens; undistort the images first")
         lens = Lens.opencv(np.array([field(name) or 0.0 for name in ("k1", "k2", "p1", "p2", "k3")]))
         return Camera(intrinsics, matrix @ OPENCV_FROM_OPENGL, width, height), lens
-    except (ValueError, CameraError) as error:
+    except (ValueError, OverflowError, CameraError) as error:
         raise DatasetError(f"{path}: frame {frame.file_path}: {error}") from error

@@ -25,11 +25,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera, CameraError
-from chona_model.data.body_model import BodyModel, find_body_model, read_body_model, reduced_pose
-from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View, read_image
+from chona_model.camera import Camera, CameraError, is_rotation
+from chona_model.data.body_model import LARGEST_FIT, BodyModel, find_body_model, read_body_model, reduced_pose
+from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View, opened_image
 from chona_model.data.lens import Lens
+from chona_model.data.paths import named_file
 from chona_model.data.restricted_pickle import MODEL_BYTES, read_object_npy
+from chona_model.plain_json import shortened
 from chona_model.skeleton import SMPL
 
 GENDER = "neutral"
@@ -39,7 +41,7 @@ MASK_FOLDERS = ("mask_cihp", "mask")
 RAY_SHARE = 0.5
 """1024 rays of an image where BEHAVE's have 2048 (paper, section 4)."""
 
-_COUNTED_FROM_ONE = re.compile(r"CoreView_\d+_Camera_\(\d+\)_(\d+)_")
+_COUNTED_FROM_ONE = re.compile(r"CoreView_[0-9]+_Camera_\([0-9]+\)_([0-9]{1,18})_")
 """File names of CoreView_313 and 315 hold the number of the fit, which begins at 1."""
 
 
@@ -150,14 +152,13 @@ def _read_subject(folder: Path) -> _Subject:
     try:
         calibration = {key: content["cams"][key] for key in ("K", "D", "R", "T")}
         images = tuple(tuple(str(name).replace("\\", "/") for name in moment["ims"]) for moment in content["ims"])
+        count = len(calibration["K"])
     except (KeyError, TypeError, IndexError) as error:
-        raise DatasetError(f"{path} lacks {error}; expected ZJU-MoCap's cams (K, D, R, T) and ims") from error
-    count = len(calibration["K"])
+        raise DatasetError(
+            f"{path} lacks {shortened(error)}; expected ZJU-MoCap's cams (K, D, R, T) and ims"
+        ) from error
     if not images or not count or any(len(moment) < count for moment in images):
         raise DatasetError(f"{path} has {count} cameras and fewer images in some frame; the file is damaged")
-    for name in {part for moment in images for part in moment}:
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise DatasetError(f"{path} names an image outside of its folder: {name!r}; refused")
     size = _image_size(folder, images)
     cameras, lenses = zip(*(_camera(path, calibration, index, size) for index in range(count)), strict=True)
     names = tuple(Path(name).parent.name.replace("Camera_", "") or str(k) for k, name in enumerate(images[0][:count]))
@@ -167,9 +168,10 @@ def _read_subject(folder: Path) -> _Subject:
 def _image_size(folder: Path, images: Iterable[Sequence[str]]) -> tuple[int, int]:
     """Height and width of the first image there is; all of a subject's are alike."""
     for name in (name for moment in images for name in moment):
-        if (folder / name).is_file():
-            height, width = read_image(folder / name, "L").shape
-            return height, width
+        path = named_file(folder, name, folder / "annots.npy")
+        if path is not None:
+            with opened_image(path) as image:
+                return image.height, image.width
     raise DatasetError(f"{folder} has none of the images that its annots.npy names; copy the folders Camera_… into it")
 
 
@@ -179,14 +181,14 @@ def _camera(path: Path, cams: dict[str, Any], index: int, size: tuple[int, int])
         rotation = np.array(cams["R"][index], dtype=np.float64).reshape(3, 3)
         translation = np.array(cams["T"][index], dtype=np.float64).reshape(3) / MILLIMETRES
         lens = Lens.opencv(np.array(cams["D"][index], dtype=np.float64))
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        if not is_rotation(rotation):
             raise ValueError("R is not a rotation (to 0.001)")
         intrinsics[:2, 2] += 0.5  # ZJU-MoCap puts the centre of the first pixel at 0, this package at 0.5
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = rotation.T
         world_from_camera[:3, 3] = -rotation.T @ translation
         return Camera(intrinsics, world_from_camera, size[1], size[0]), lens
-    except (IndexError, TypeError, ValueError, CameraError) as error:
+    except (IndexError, KeyError, TypeError, ValueError, OverflowError, CameraError) as error:
         raise DatasetError(
             f"{path}: camera {index} is not ZJU-MoCap's: {error}; expected K and R [3, 3], T [3] millimetres, D [5]"
         ) from error
@@ -210,7 +212,7 @@ def _moment(image: str) -> tuple[int, str]:
     counted = _COUNTED_FROM_ONE.match(Path(image).name)
     if counted is not None:
         return int(counted[1]), counted[1]
-    if not stem.isdigit():
+    if not re.fullmatch(r"[0-9]{1,18}", stem):
         raise DatasetError(f"the image {image} of annots.npy has no frame number; expected Camera_B1/000000.jpg")
     return int(stem), stem
 
@@ -229,7 +231,7 @@ def _read_fit(path: Path, gaps: Counter[str]) -> dict[str, np.ndarray] | None:
     wrong = next((key for key, size in sizes.items() if size is not None and arrays[key].size != size), None)
     if wrong is not None:
         raise DatasetError(f"{path}: {wrong} has {arrays[wrong].size} numbers, expected 3")
-    if not all(np.isfinite(array).all() for array in arrays.values()):
+    if not all((np.abs(array) <= LARGEST_FIT).all() for array in arrays.values()):
         gaps["person fit (not finite)"] += 1
         return None
     return arrays
@@ -246,10 +248,12 @@ def _views(
     subject: _Subject, used: Sequence[int], files: Sequence[str], frame: str, pose: Pose, gaps: Counter[str]
 ) -> Iterable[View]:
     for index in used:
-        image = subject.folder / files[index]
-        masks = [(subject.folder / folder / files[index]).with_suffix(".png") for folder in MASK_FOLDERS]
-        mask = next((path for path in masks if path.is_file()), None)
-        if not image.is_file():
+        source = subject.folder / "annots.npy"
+        image = named_file(subject.folder, files[index], source)
+        names = (Path(folder, files[index]).with_suffix(".png") for folder in MASK_FOLDERS)
+        masks = (named_file(subject.folder, str(name), source) for name in names)
+        mask = next((path for path in masks if path is not None), None)
+        if image is None:
             gaps["image"] += 1
         elif mask is None:
             gaps["person mask"] += 1

@@ -34,6 +34,12 @@ class DeformShape:
     depth: int = 4
     sharpness: float = 5.0
 
+    def __post_init__(self) -> None:
+        if not (0 <= self.degrees <= 32 and 1 <= self.width <= 8192 and 1 <= self.depth <= 128):
+            raise ValueError(f"sizes of the skinning perceptrons out of range: {self}")
+        if not 0.0 < self.sharpness <= 1e4:
+            raise ValueError(f"the sharpness of the skinning weights is {self.sharpness}, expected 0 to 10,000")
+
 
 class _PointMLP(nn.Module):
     """A perceptron over encoded canonical points, normalised by (x - centre) / scale."""

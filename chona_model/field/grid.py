@@ -51,6 +51,10 @@ class GridShape:
     own_codes: bool = False
 
     def __post_init__(self) -> None:
+        limits = {"levels": (1, 32), "rows": (1, 24), "hidden": (1, 1024), "code": (1, 1024), "pose": (1, 1024)}
+        wrong = [name for name, (low, high) in limits.items() if not low <= getattr(self, name) <= high]
+        if wrong or not (1e-5 <= self.finest <= self.coarsest <= 10.0 and 0.0 < self.density_scale <= 1e6):
+            raise ValueError(f"{wrong or 'cells or density_scale'} of a grid field out of range: {self}")
         if self.levels * FEATURES % LANES or self.hidden % LANES or not 0 < self.features < LANES:
             raise ValueError(
                 f"the kernels want whole vectors of {LANES}: levels · {FEATURES} and hidden as multiples of it, "

@@ -31,6 +31,11 @@ class FieldShape:
     skip: int = 4
     head_width: int = 128
 
+    def __post_init__(self) -> None:
+        widths = 1 <= self.width <= 8192 and 1 <= self.head_width <= 8192
+        if not (widths and 0 <= self.degrees <= 32 and 1 <= self.depth <= 128 and 0 <= self.skip <= 128):
+            raise ValueError(f"sizes of the radiance field out of range: {self}")
+
 
 @dataclass(frozen=True)
 class FieldSample:

@@ -5,7 +5,9 @@ Single-part, with a pass and a channel letter in every name: what every Blender 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import errno
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,8 @@ LAYER = "CHONA"
 EMPTY_DEPTH = 1e10
 """Depth of a pixel that nothing covers, as Blender writes it."""
 HALF_MAX = 65504.0
+PROBE_BYTES = 1 << 20
+"""Written to a folder that did not take a frame, to learn why."""
 CRYPTO_LAYER = f"{LAYER}.CryptoActor"
 """The Cryptomatte, as its channels and the header call it."""
 _MATTES = {"human": "Human", "object": "Object", "confidence": "Confidence"}
@@ -87,14 +91,19 @@ def frame_name(shot_name: str, frame: int) -> str:
     return f"{shot_name}_{sign}{abs(frame):04d}.exr"
 
 
-def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
+def write_frame(
+    path: Path, layers: FrameLayers, header: FrameHeader, confirm: Callable[[], None] | None = None
+) -> None:
     """Writes one frame whole or not at all, over what was there; passes that are None are not in the file.
 
     Colours beyond half precision's range are limited to it.
 
+    Args:
+        confirm: called right before the frame is put into its place; where it raises, what was there stays.
+
     Raises:
         ExrError: shapes differ or a value is not finite.
-        OSError: the disk is full or the folder cannot be written to.
+        WriteError: the disk is full or the folder cannot be written to.
     """
     _check_layers(layers)
     # OpenEXR writes zeros, without a word, of arrays that are not contiguous.
@@ -126,12 +135,26 @@ def write_frame(path: Path, layers: FrameLayers, header: FrameHeader) -> None:
         _PASSES_ATTRIBUTE: _passes_text(layers.passes),
         **named,
     }
-    with atomic_path(path) as temporary:
+    with atomic_path(path, confirm) as temporary:
         try:
             OpenEXR.File(attributes, channels).write(str(temporary))
         except (RuntimeError, ValueError) as error:
-            raise OSError(f"cannot write {path}: {error}; check the disk's space and the folder's rights") from error
-        check_exr(temporary)  # a full disk must not leave a frame that counts as finished
+            raise _cause(path.parent, error) from error
+        try:
+            check_exr(temporary)  # a full disk must not leave a frame that counts as finished
+        except ExrError as error:
+            raise _cause(path.parent, error) from error
+
+
+def _cause(folder: Path, error: Exception) -> OSError:
+    """Why a frame was not written: OpenEXR does not say."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(bytes(PROBE_BYTES))
+            probe.flush()
+    except OSError as reason:
+        return reason
+    return OSError(errno.EIO, str(error))
 
 
 def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
@@ -150,6 +173,7 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
             pixels[f"{LAYER}.Combined"], pixels.get(f"{LAYER}.Depth.Z"), human, thing, confidence,
             _read_normal(pixels), _read_cryptomatte(pixels, attributes),
         )  # fmt: skip
+        _check_layers(layers)
         told = attributes.get(_PASSES_ATTRIBUTE, _passes_text(DEFAULT_PASSES))
         if _passes_text(layers.passes) != told or (layers.human is None) != (layers.object is None):
             raise ExrError(
@@ -159,7 +183,7 @@ def read_frame(path: Path) -> tuple[FrameLayers, FrameHeader]:
         return layers, FrameHeader(*(attributes[f"chona:{name}"] for name in names))
     except KeyError as error:
         raise ExrError(f"{path} lacks {error}; expected a frame baked by this program") from error
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, TypeError) as error:
         raise ExrError(f"cannot read {path}: {error}; render it again") from error
 
 
@@ -195,6 +219,10 @@ def _read_cryptomatte(pixels: Mapping[str, np.ndarray], attributes: Mapping[str,
     if names is None:
         return None
     levels = [pixels[f"{CRYPTO_LAYER}{level:02d}"] for level in range(cryptomatte.level_count(names))]
+    if any(level.shape != levels[0].shape or level.shape[2:] != (4,) for level in levels):
+        raise ExrError(
+            f"the Cryptomatte has levels of the shapes {[level.shape for level in levels]}, expected [H, W, 4]"
+        )
     return cryptomatte.unrank(levels, names)
 
 

@@ -6,17 +6,23 @@ this reads the little that is needed of single-part scanline files: attributes, 
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _LINES_PER_CHUNK = {0: 1, 2: 1, 3: 16}
 """Compression (none, ZIPS, ZIP) to lines a chunk."""
 _BYTES = {0: 4, 1: 2, 2: 4}
 """Channel type (uint, half, float) to bytes."""
-_MAX_CHUNKS = 1 << 20
+_MOST_SIDE = 65536
+_MOST_CHUNK = 1 << 28
+"""Bytes of a chunk when unpacked: 16 lines of 65536 pixels with 60 channels."""
+_MOST_HEADER = 1 << 20
+"""Bytes, a Cryptomatte's names included."""
 
 
 class ExrError(ValueError):
@@ -51,15 +57,12 @@ def check_exr(path: Path) -> Structure:
         ExrError: the file is missing, truncated, damaged, or of another kind.
     """
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ExrError(f"cannot read {path}: {error}") from error
-    try:
-        structure, start, line_bytes, compression = _header(content)
-        _check_chunks(content, start, structure.height, line_bytes, compression)
-    except (ValueError, IndexError, KeyError, struct.error, zlib.error) as error:
+        with path.open("rb") as file:
+            structure, start, line_bytes, compression = _header(file.read(_MOST_HEADER))
+            _check_chunks(file, start, structure.height, line_bytes, compression)
+            return structure
+    except (OSError, ValueError, IndexError, KeyError, struct.error, zlib.error) as error:
         raise ExrError(f"{path} is no complete scanline EXR: {error}; render it again") from error
-    return structure
 
 
 def is_whole(path: Path) -> bool:
@@ -95,7 +98,7 @@ def _header(content: bytes) -> tuple[Structure, int, int, int]:
         pixel_bytes += _BYTES[struct.unpack_from("<i", channels, cursor)[0]]
         names.append(name)
         cursor += 16
-    if width < 1 or height < 1:
+    if not (1 <= width <= _MOST_SIDE and 1 <= height <= _MOST_SIDE):
         raise ValueError(f"its data window is {width}x{height}")
     return (
         Structure(width, height, tuple(names), attributes),
@@ -105,21 +108,36 @@ def _header(content: bytes) -> tuple[Structure, int, int, int]:
     )
 
 
-def _check_chunks(content: bytes, table: int, height: int, line_bytes: int, compression: int) -> None:
+def _check_chunks(file: BinaryIO, table: int, height: int, line_bytes: int, compression: int) -> None:
     lines = _LINES_PER_CHUNK[compression]
     count = -(-height // lines)
-    if count > _MAX_CHUNKS:
-        raise ValueError(f"it claims {height} lines")
-    for index, offset in enumerate(struct.unpack_from(f"<{count}Q", content, table)):
-        _, size = struct.unpack_from("<iI", content, offset)
-        packed = content[offset + 8 : offset + 8 + size]
-        if len(packed) != size or offset < table:
-            raise ValueError(f"chunk {index} of {count} is cut off")
+    if line_bytes * lines > _MOST_CHUNK:
+        raise ValueError(f"it claims {line_bytes} bytes a line")
+    length = os.fstat(file.fileno()).st_size
+    file.seek(table)
+    offsets = struct.unpack(f"<{count}Q", file.read(8 * count))
+    free = table + 8 * count  # chunks follow the table and one another: none is counted, or unpacked, twice
+    for index, offset in enumerate(offsets):
+        if not free <= offset <= length - 8:
+            raise ValueError(f"chunk {index} of {count} is cut off, or overlaps what is before it")
+        file.seek(offset)
+        _, size = struct.unpack("<iI", file.read(8))
+        free = offset + 8 + size
         expected = line_bytes * min(lines, height - index * lines)
-        if size != expected and (compression == 0 or len(zlib.decompress(packed, bufsize=expected)) != expected):
+        if free > length or size > expected:
+            raise ValueError(f"chunk {index} of {count} is cut off")
+        if size != expected and (compression == 0 or not _unpacks_to(file.read(size), expected)):
             raise ValueError(f"chunk {index} of {count} has the wrong length")
 
 
+def _unpacks_to(packed: bytes, expected: int) -> bool:
+    """Whether zlib data are whole and so many bytes; never unpacks more."""
+    stream = zlib.decompressobj()
+    return len(stream.decompress(packed, expected + 1)) == expected and stream.eof
+
+
 def _name(content: bytes, position: int) -> tuple[str, int]:
-    end = content.index(b"\0", position)
+    end = content.find(b"\0", position, position + 256)
+    if end < 0:
+        raise ValueError("a name in its header has no end")
     return content[position:end].decode("utf-8"), end + 1

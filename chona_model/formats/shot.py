@@ -6,7 +6,7 @@ or a frame twice.
 
 from __future__ import annotations
 
-import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,10 +30,18 @@ from chona_model.formats.shot_blur import (
     shutter_arrays,
 )
 from chona_model.formats.shot_checks import ShotError, check_intrinsics, check_rigid, check_shape
+from chona_model.plain_arrays import ArraysError, read_arrays
+from chona_model.plain_json import JsonError, decode, shortened
 
 FORMAT = "chona-shot"
 VERSION = 1
 MAX_IMAGE_SIZE = 65536
+MAX_PIXELS = 1 << 28
+"""Of an image: 16384 x 16384."""
+MAX_FRAME = (1 << 31) - 1
+LONGEST_NAME = 200
+"""Bytes of a shot's name; with number and ending, file systems take 255."""
+MAX_SCALE = 1e6
 _RESERVED = frozenset('/\\:*?"<>|\0')
 
 __all__ = ["Lens", "Shot", "ShotActor", "ShotError", "Shutter", "read_shot", "write_shot", "write_shot_to"]
@@ -222,9 +230,8 @@ def read_shot(source: Path | BinaryIO) -> Shot:
     """
     path = source if isinstance(source, Path) else "a stream"
     try:
-        with np.load(source, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(source)
+    except (OSError, ArraysError) as error:
         raise ShotError(
             f"cannot read the shot {path}: {error}; expected a file NAME.shot.npz, export it again"
         ) from error
@@ -267,16 +274,16 @@ def _header(arrays: Mapping[str, np.ndarray], path: Path | str) -> _Header:
         raise ShotError(f"{path} has no header (uint8, JSON); expected a shot written by the add-on, export it again")
     text = arrays["header"].tobytes()
     try:
-        kind = msgspec.json.decode(text, type=_Kind)
+        kind = decode(text, _Kind)
         if kind.format != FORMAT:
-            raise ShotError(f"{path} is a '{kind.format}', expected a '{FORMAT}'")
+            raise ShotError(f"{path} is a '{shortened(kind.format)}', expected a '{FORMAT}'")
         if kind.version != VERSION:
             raise ShotError(
                 f"{path} is a shot of version {kind.version}, this program reads version {VERSION}; export it again "
                 "with the add-on that came with this program"
             )
-        return msgspec.json.decode(text, type=_Header)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return decode(text, _Header)
+    except JsonError as error:
         raise ShotError(f"the header of {path} breaks the format: {error}; export the shot again") from error
 
 
@@ -293,24 +300,33 @@ def _scale(arrays: Mapping[str, np.ndarray]) -> float:
     if "world_scale" not in arrays:
         return 1.0
     scale = _array(arrays, "world_scale")
-    if scale.shape != () or not (np.isfinite(scale) and scale > 0):
-        raise ShotError(f"world_scale is {scale}, expected one positive number: write the shot again")
+    if scale.shape != () or not 1.0 / MAX_SCALE <= scale <= MAX_SCALE:
+        raise ShotError(
+            f"world_scale is {shortened(scale)}, expected one positive number up to {MAX_SCALE:g}: write the shot again"
+        )
     return float(scale)
 
 
 def _check_header(shot: Shot) -> None:
-    if not shot.name or shot.name.strip() != shot.name or _RESERVED & set(shot.name) or shot.name.startswith("."):
-        raise ShotError(f"the shot is called {shot.name!r}, expected a name that can be part of a file name")
+    odd = _RESERVED & set(shot.name) or any(ord(letter) < 32 for letter in shot.name)
+    if not shot.name or shot.name.strip() != shot.name or odd or shot.name.startswith("."):
+        raise ShotError(
+            f"the shot is called {shot.name[:LONGEST_NAME]!r}, expected a name that can be part of a file name"
+        )
+    if len(shot.name.encode()) > LONGEST_NAME:
+        raise ShotError(f"the shot's name has {len(shot.name.encode())} bytes, expected at most {LONGEST_NAME}")
     if not (np.isfinite(shot.fps) and shot.fps > 0):
         raise ShotError(f"fps is {shot.fps}, expected a positive number")
     if not (1 <= shot.width <= MAX_IMAGE_SIZE and 1 <= shot.height <= MAX_IMAGE_SIZE):
         raise ShotError(f"the image has {shot.width}x{shot.height} pixels, expected 1 to {MAX_IMAGE_SIZE} each way")
+    if shot.width * shot.height > MAX_PIXELS:
+        raise ShotError(f"the image has {shot.width}x{shot.height} pixels, expected at most {MAX_PIXELS} in all")
     if shot.camera_kind not in (PERSPECTIVE, ORTHOGRAPHIC):
         raise ShotError(f"camera_kind is '{shot.camera_kind}', expected {PERSPECTIVE} or {ORTHOGRAPHIC}")
     if not shot.actors:
         raise ShotError("the shot has no actor; map a rig or an object to the model before exporting")
     names = [actor.name for actor in shot.actors]
-    doubled = sorted({name for name in names if names.count(name) > 1})
+    doubled = sorted(name for name, count in Counter(names).items() if count > 1)
     if doubled:
         raise ShotError(f"two actors are called '{doubled[0]}'; give each its own name")
 
@@ -320,6 +336,8 @@ def _check_frames(frames: np.ndarray) -> None:
         raise ShotError(f"frames has the shape {frames.shape} and type {frames.dtype}, expected [F] int64")
     if not len(frames):
         raise ShotError("the frame range is empty; expected at least one frame, check the scene's start and end")
+    if (np.abs(frames.astype(np.float64)) > MAX_FRAME).any():
+        raise ShotError(f"frames are {frames.min()} to {frames.max()}, expected numbers up to {MAX_FRAME} either way")
     back = np.flatnonzero(np.diff(frames) <= 0)
     if len(back):
         before, after = frames[back[0]], frames[back[0] + 1]

@@ -9,7 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from chona_model.formats.shot_checks import ShotError, check_intrinsics, check_rigid, check_shape
+from chona_model.plain_json import shortened
 from chona_model.settings import MOST_BLUR_SAMPLES
+
+LARGEST = 1e8
+"""Metres, corners, radians or frames of a lens or a shutter: beyond, it is damage."""
+
+MOST_TIMES = 1024
+"""Moments that a shutter is open over."""
 
 LENS_FIELDS = ("focus_distance", "radius", "blades", "rotation", "ratio")
 
@@ -118,15 +125,18 @@ def read_samples(arrays: Mapping[str, np.ndarray]) -> int | None:
         return None
     samples = arrays["blur.samples"]
     if samples.shape != () or samples.dtype.kind not in "iu" or not 1 <= samples <= MOST_BLUR_SAMPLES:
-        raise ShotError(f"blur.samples is {samples}, expected one whole number from 1 to {MOST_BLUR_SAMPLES}")
+        raise ShotError(
+            f"blur.samples is {shortened(samples)}, expected one whole number from 1 to {MOST_BLUR_SAMPLES}"
+        )
     return int(samples)
 
 
 def check_shutter(shutter: Shutter, frames: np.ndarray, actors: Sequence[Member]) -> None:
     """``ShotError`` where a shutter's arrays do not fit the shot's frames and actors, or hold what none may."""
     times = shutter.times
-    if times.ndim != 1 or not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise ShotError(f"shutter.times is {times.tolist()}, expected at least one time, increasing")
+    sound = times.ndim == 1 and 1 <= len(times) <= MOST_TIMES and bool((np.abs(times) <= LARGEST).all())
+    if not sound or (np.diff(times) < 0).any():
+        raise ShotError(f"shutter.times is {shortened(times.tolist())}, expected 1 to {MOST_TIMES} times, increasing")
     size = (len(frames), len(times))
     check_shape("shutter.intrinsics", shutter.intrinsics, (*size, 3, 3))
     check_shape("shutter.world_from_camera", shutter.world_from_camera, (*size, 4, 4))
@@ -146,8 +156,9 @@ def check_lens(lens: Lens, frames: np.ndarray) -> None:
     for name in LENS_FIELDS:
         array = getattr(lens, name)
         check_shape(f"lens.{name}", array, (len(frames),))
-        if not np.isfinite(array).all():
-            raise ShotError(f"lens.{name} in frame {frames[~np.isfinite(array)][0]} is not finite")
+        fine = np.abs(array) <= LARGEST
+        if not fine.all():
+            raise ShotError(f"lens.{name} in frame {frames[~fine][0]} is not finite, or beyond {LARGEST:g}")
     for name in ("radius", "focus_distance", "ratio"):
         array = getattr(lens, name)
         wrong = (array < 0.0) if name == "radius" else (array <= 0.0) & (lens.radius > 0.0)

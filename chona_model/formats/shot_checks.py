@@ -8,6 +8,10 @@ RIGID_TOLERANCE = 1e-4
 """Largest entry of RᵀR − I and of the last row's error that still counts as rigid."""
 
 
+FARTHEST = 1e8
+"""Metres from the origin, and pixels of a focal length: beyond, nothing is told apart any more."""
+
+
 class ShotError(ValueError):
     """A shot that cannot be rendered: the message says what was found, what was expected and what to do."""
 
@@ -15,8 +19,8 @@ class ShotError(ValueError):
 def check_intrinsics(matrices: np.ndarray, frames: np.ndarray) -> None:
     """``ShotError`` where one of ``matrices`` [F, 3, 3] is no pinhole's or parallel projection's."""
     for matrix, frame in zip(matrices, frames, strict=True):
-        if not np.isfinite(matrix).all():
-            raise ShotError(f"the camera's intrinsics in frame {frame} are not finite")
+        if not (np.abs(matrix) <= FARTHEST).all():
+            raise ShotError(f"the camera's intrinsics in frame {frame} are not finite, or beyond {FARTHEST:g}")
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or (matrix[2] != (0.0, 0.0, 1.0)).any() or matrix[1, 0] != 0:
             raise ShotError(
                 f"the camera's intrinsics in frame {frame} are {matrix.tolist()}, expected positive focal lengths on "
@@ -36,6 +40,13 @@ def check_rigid(matrices: np.ndarray, frames: np.ndarray, names: list[str]) -> N
     if not finite.all():
         frame, item = np.argwhere(~finite)[0]
         raise ShotError(f"{names[item]} in frame {frames[frame]} has a matrix that is not finite; check its animation")
+    near = (np.abs(matrices) <= FARTHEST).all(axis=(-1, -2))
+    if not near.all():
+        frame, item = np.argwhere(~near)[0]
+        raise ShotError(
+            f"{names[item]} in frame {frames[frame]} lies farther than {FARTHEST:g} m from the origin; check "
+            "its animation"
+        )
     rotation = matrices[..., :3, :3]
     gram = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2), initial=0.0)
     last = np.abs(matrices[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1, initial=0.0)

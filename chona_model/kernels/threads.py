@@ -6,12 +6,23 @@ so neither do results.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
 
-from numba import get_num_threads
+from numba import get_num_threads, set_num_threads
+
+
+def share_out(processes: int) -> int:
+    """Leaves this process its share of the cores where several work on one computer, and returns their number.
+
+    ``NUMBA_NUM_THREADS`` in the environment is a process's own number, whatever the others use.
+    """
+    if "NUMBA_NUM_THREADS" not in os.environ:
+        set_num_threads(max(get_num_threads() // processes, 1))
+    return get_num_threads()
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chona_model.camera import ORTHOGRAPHIC, Camera
-from chona_model.figure import Figure
+from chona_model.figure import Figure, PoseError
 from chona_model.kernels.marching import mark_starts, splat_spans
 from chona_model.render.occupancy import PartCells
 from chona_model.render.sides import touches_picture
@@ -75,7 +75,7 @@ def pose_cells(
         cell: of the occupancy, metres; chances: starts kept a posed cell, 1 or 2.
 
     Raises:
-        ValueError: broken bones spread the person over more than ``MOST_CELLS``.
+        PoseError: broken bones spread the person over more than ``MOST_CELLS``.
     """
     reach = 0.9 * cell  # half a cell's diagonal, and some stretch
     outline = [(thing.centres[thing.shell] - matrix[:, 3]) @ matrix[:, :3] for thing, matrix in objects]
@@ -91,7 +91,7 @@ def pose_cells(
         extent = upper + reach + POSED_CELL - origin
         if not np.prod(extent / POSED_CELL, dtype=np.float64) <= MOST_CELLS:
             size = " x ".join(f"{length:.3g}" for length in extent)
-            raise ValueError(f"the pose spreads the person over {size} m; expected about its own size, check its bones")
+            raise PoseError(f"the pose spreads the person over {size} m; expected about its own size, check its bones")
         dims = np.ceil(extent / POSED_CELL).astype(np.int64)
         starts = mark_starts(posed, centres, origin, 1 / POSED_CELL, dims, reach, APART, chances)
     points = np.concatenate(outline) if outline else np.zeros((0, 3))

@@ -14,6 +14,7 @@ from PIL import Image
 from chona_model.data.dataset import Dataset, View
 from chona_model.evaluate.run import evaluate
 from chona_model.formats.atomic import atomic_path, write_bytes
+from chona_model.formats.folder_lock import lock_folder
 from chona_model.model_store import load_actor
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -77,8 +78,16 @@ def make_cell(
         the result; None when it was cancelled.
 
     Raises:
-        DatasetError, TrainingError, CheckpointError, OSError: as training and evaluation do.
+        DatasetError, TrainingError, CheckpointError, OSError: as training and evaluation do.  FolderBusyError: another
+            process makes this cell.
     """
+    with lock_folder(folder, f"the cell {cell.slug}"):
+        return _make_cell(cell, data, folder, protocol, progress, device)
+
+
+def _make_cell(
+    cell: Cell, data: CellData, folder: Path, protocol: Protocol, progress: Progress, device: str
+) -> dict[str, Any] | None:
     run = folder / "run"
     trained = folder / "trained"
     if not trained.is_file():

@@ -19,7 +19,7 @@ import numpy as np
 from chona_model.actor import Actor
 from chona_model.blur import SHARP, Blur, blur_of_frame, rays_of_pixel
 from chona_model.formats.exr import FrameHeader, FrameLayers, write_frame
-from chona_model.formats.shot import Shot, ShotActor
+from chona_model.formats.shot import Shot, ShotActor, ShotError
 from chona_model.frame import ShotRenderer
 from chona_model.presets import every_preset, find_preset
 from chona_model.settings import RenderSettings
@@ -199,8 +199,11 @@ def reference_shot(trade: Mapping[str, Any], bones: Sequence[str]) -> Shot:
         ShotError: the view is none; the model file was changed by another program.
     """
     view = trade["reference"]
-    matrices = np.array(view["world_from_bone"] or np.zeros((0, 4, 4)), dtype=np.float64)
-    things = np.array(view["world_from_object"], dtype=np.float64).reshape(-1, 4, 4)
+    try:
+        matrices = np.array(view["world_from_bone"] or np.zeros((0, 4, 4)), dtype=np.float64)
+        things = np.array(view["world_from_object"], dtype=np.float64).reshape(-1, 4, 4)
+    except ValueError as error:
+        raise ShotError(f"the view that the model was measured on is damaged ({error}); measure it again") from error
     actor = ShotActor(
         "reference", view["person"], tuple(view["objects"]), tuple(bones) if view["person"] else (), matrices[None],
         things[None],

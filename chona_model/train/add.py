@@ -16,12 +16,13 @@ from chona_model.data.renamed import renamed
 from chona_model.formats.model_file import ModelFileError, ModelHeader, read_header
 from chona_model.grid_actor import GridActor
 from chona_model.methods import METHODS, method_of
-from chona_model.model_store import load_actor, save_actor
+from chona_model.model_store import load_actor
 from chona_model.progress import Progress
+from chona_model.train import together
 from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
 from chona_model.train.repeatable import repeatable
-from chona_model.train.run import MODEL, TrainRun, report_end, run_trainer
+from chona_model.train.run import MODEL, TrainRun, held_folder, report_end, run_trainer, save_model
 
 CHUNK = 1 << 20
 
@@ -48,21 +49,24 @@ def add(
     _check(header, out, names.values())
     dataset = renamed(_shown_alone(dataset, tuple(names), header), names)
     method = METHODS[header.method]
-    out.mkdir(parents=True, exist_ok=True)
-    with repeatable(run.device):
-        actor = load_actor(base)
-        assert isinstance(actor, GridActor)
-        trainer = GridTrainer(dataset, settings, run.seed, run.image_scale, method, device=run.device, base=actor.model)
-        identity = {"base": _digest(base), "method": header.method}
-        grown, training = run_trainer(trainer, dataset, out, run, identity, progress)
-    note = {key: training[key] for key in ("steps", "seconds", "views", "data", "finished")}
-    before = header.training
-    history = before | {
-        "poses_seen": before.get("poses_seen") or training["poses_seen"],
-        "added": [*before.get("added", []), {"identities": sorted(names.values()), **note}],
-    }
     model = out / MODEL
-    save_actor(model, grown, header.method, header.settings, history)
+    with held_folder(out) as held:
+        with repeatable(run.device):
+            actor = load_actor(base)
+            assert isinstance(actor, GridActor)
+            trainer = GridTrainer(
+                dataset, settings, run.seed, run.image_scale, method, device=run.device, base=actor.model
+            )
+            identity = {"base": _digest(base), "method": header.method}
+            grown, training = run_trainer(trainer, dataset, out, held, run, identity, progress)
+        note = {key: training[key] for key in ("steps", "seconds", "views", "data", "finished")}
+        before = header.training
+        history = before | {
+            "poses_seen": before.get("poses_seen") or training["poses_seen"],
+            "added": [*before.get("added", []), {"identities": sorted(names.values()), **note}],
+        }
+        if together.leads():
+            save_model(model, grown, header.method, header.settings, history)
     report_end(progress, model, training)
     return model
 

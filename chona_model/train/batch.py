@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,10 @@ class DrawnRays:
 
     def __len__(self) -> int:
         return len(self.near)
+
+    def only(self, traced: np.ndarray) -> DrawnRays:
+        """The same rays, of which those that are not ``traced`` [R] miss everything and cost nothing."""
+        return replace(self, far=np.where(traced, self.far, self.near))
 
 
 @dataclass(frozen=True)

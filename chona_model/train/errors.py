@@ -12,6 +12,10 @@ class TrainingError(RuntimeError):
     """Training that cannot go on: the message says at which step, why, and what to do."""
 
 
+class NotSavedError(OSError):
+    """A training whose files could not be written: why, what to do, and what there is to go on from."""
+
+
 def decibels(error: float) -> float:
     """PSNR of a mean squared error of values in 0…1, dB; NaN stays NaN."""
     return -10.0 * math.log10(max(error, NO_ERROR)) if math.isfinite(error) else math.nan

@@ -21,6 +21,7 @@ from chona_model.methods import METHODS, Method
 from chona_model.render.bounds import figure_spans
 from chona_model.render.rays import take_rays
 from chona_model.settings import PREDICTED, ExactSettings, InverseSettings
+from chona_model.train import together
 from chona_model.train.adam_state import adam_tensors, restore_adam
 from chona_model.train.errors import TrainingError, decibels, loss_not_finite
 from chona_model.train.objects import object_distance
@@ -169,10 +170,11 @@ class ExactTrainer:
         image = self.images[random.integers(len(self.images))]
         pick = random.integers(len(image.places), size=max(MIN_RAYS, round(self.rays * image.ray_share)))
         poses, like = self.poses[image.moment], next(model.parameters())
+        mine = together.mine(len(pick))
+        far = np.where(mine, image.far[pick], image.near[pick])  # the others' rays miss, which costs nothing
         rays = make_rays(
-            self.figures[image.moment], image.camera, image.places[pick] + 0.5, image.near[pick], image.far[pick], like,
-            pose=0,
-        )  # fmt: skip
+            self.figures[image.moment], image.camera, image.places[pick] + 0.5, image.near[pick], far, like, pose=0
+        )
         part = torch.as_tensor(image.part[pick], device=like.device)
         persons, objects = poses.persons.expand(len(pick)), poses.objects.expand(len(pick), -1)
         if self.method.invariant_codes:
@@ -181,11 +183,12 @@ class ExactTrainer:
                 n_objects=model.shape.n_objects, seed=self.seed, step=index,
             )  # fmt: skip
         target = np.where((image.part[pick] > 0)[:, None], image.rgb[pick] / 255.0, 0.0)
-        goal = torch.as_tensor(target, dtype=like.dtype, device=like.device)
+        goal = torch.as_tensor(np.where(mine[:, None], target, 0.0), dtype=like.dtype, device=like.device)
         model.train()
         self.optimiser.zero_grad(set_to_none=True)
         generator = step_generator(self.seed, index)
         total = image_total = 0.0
+        weight_loss, offset_loss = settings.weight_loss * together.share(), settings.offset_loss * together.share()
         for begin in range(0, len(pick), settings.chunk):
             rows = slice(begin, begin + settings.chunk)
             fraction = len(pick[rows]) / len(pick)
@@ -193,12 +196,14 @@ class ExactTrainer:
             result = model.render_rays(subset, poses, persons[rows], objects[rows], settings.exact, generator)
             image_loss = ((result.rgb - goal[rows]) ** 2).mean()
             terms = result.regularisers
-            loss = image_loss + settings.weight_loss * terms["weights"] + settings.offset_loss * terms["offset"]
+            loss = image_loss + weight_loss * terms["weights"] + offset_loss * terms["offset"]
             if not torch.isfinite(loss):
                 raise TrainingError(loss_not_finite(index, float(loss.detach()), self.rates))
             (fraction * loss).backward()
             total += fraction * float(loss.detach())
             image_total += fraction * float(image_loss.detach())
+        total, image_total = together.sums(total, image_total)
+        together.add_up(list(model.parameters()))
         for group in self.optimiser.param_groups:
             group["lr"] = settings.first_rate * (settings.last_rate / settings.first_rate) ** min(share, 1.0)
         self.optimiser.step()

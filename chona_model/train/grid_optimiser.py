@@ -58,6 +58,11 @@ class GridOptimiser:
         moments = field.table.shape if fused else (0,)
         self._mean, self._square = (np.zeros(moments, dtype=np.float32) for _ in range(2))
 
+    @property
+    def parameters(self) -> list[nn.Parameter]:
+        """All that ``step`` changes, but tables whose gradients come from the kernels."""
+        return [parameter for group in self._adam.param_groups for parameter in group["params"]]
+
     def clear(self) -> None:
         """Forgets gradients; the tables' are cleared by ``step``."""
         self.model.zero_grad(set_to_none=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from chona_model.kernels.grid import fast
 from chona_model.methods import METHODS, Method
 from chona_model.render.occupancy import CULL_DENSITY, CULL_SHARE, FADE
 from chona_model.render.posed import PosedPart
+from chona_model.train import together
 from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
 from chona_model.train.distance import DistanceField
 from chona_model.train.errors import TrainingError, decibels, density_not_finite, likely_causes, loss_not_finite
@@ -37,6 +39,11 @@ def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
     thing = out[:, 5]
     wrong = torch.where(part == 1, thing, torch.where(part == 2, out[:, 3] - thing, 0.0))
     return wrong**2
+
+
+def _ends(drawn: list[DrawnRays]) -> np.ndarray:
+    """Where the rays of one pose end and those of the next begin."""
+    return np.cumsum([len(rays) for rays in drawn])[:-1]
 
 
 def _make_model(dataset: Dataset, shape: GridModelShape | None, method: Method) -> GridModel:
@@ -158,6 +165,8 @@ class GridTrainer:
         pose = np.repeat(chosen, [len(rays) for rays in drawn])
         skinning = self.learns_skinning and share >= settings.skin_from and index % settings.skin_every == 0
         figures = [self.posed[number] for number in chosen]
+        mine = together.mine(len(part))
+        drawn = [rays.only(own) for rays, own in zip(drawn, np.split(mine, _ends(drawn)), strict=True)]
         pairs, ray_pair = self._identities(pose, part, index)
         batch = Batch(
             figures, [self.grids[number] for number in chosen], drawn, random.random(len(part), dtype=np.float32),
@@ -171,28 +180,26 @@ class GridTrainer:
         background = np.zeros((len(part), 3), np.float32)
         if settings.random_background:
             background = random.random((len(part), 3)).astype(np.float32)
-        target = np.where((part > 0)[:, None], rgb.astype(np.float32) / 255.0, background)
+        target = np.where((mine & (part > 0))[:, None], rgb.astype(np.float32) / 255.0, background)
         predicted = out[:, :3] + (1.0 - out[:, 3:4]) * real(background)
         image_loss = ((predicted - real(target)) ** 2).mean()
         loss = image_loss + settings.part_loss * _wrong_part(out, torch.as_tensor(part, device=out.device)).mean()
         if skinning:
-            loss = loss + self._regularisers(figures)
+            loss = loss + together.share() * self._regularisers(figures)
         if self.distances is not None:
-            loss = loss + self.distances.eikonal(index)
-        if not torch.isfinite(loss):
-            raise TrainingError(loss_not_finite(index, float(loss.detach()), self.rates))
+            loss = loss + together.share() * self.distances.eikonal(index)
+        empty = float(((target - background) ** 2).mean())
+        total, image_total, empty = together.sums(float(loss.detach()), float(image_loss.detach()), empty)
+        if not math.isfinite(total):
+            raise TrainingError(loss_not_finite(index, total, self.rates))
         self.optimiser.clear()
         loss.backward()
+        together.add_up(self.optimiser.parameters, self.model.field.gradient if self.fused else None)
         self.optimiser.step(index, share)
         if skinning:
             self._forget_matrices()
         self._follow_density(index + 1)
-        empty = float(((target - background) ** 2).mean())
-        return {
-            "loss": float(loss.detach()),
-            "psnr": decibels(float(image_loss.detach())),
-            "empty_psnr": decibels(empty),
-        }
+        return {"loss": total, "psnr": decibels(image_total), "empty_psnr": decibels(empty)}
 
     def _matrices(self, chosen: np.ndarray, skinning: bool) -> list[Tensor]:
         """Blended matrices of each pose; those that need no gradient are kept until the skinning changes."""
@@ -268,6 +275,7 @@ class GridTrainer:
             random = np.random.default_rng([self.seed, done, 1])
             for part in self.parts:
                 self._refresh(part, random)
+            together.copy_of_leader(self.model.occupancy.densities)
             self.surfaces = replace(self.surfaces, occupied=occupied_cells(self.model.occupancy))
         if done in self.settings.rebuild:
             self._rebuild()

@@ -105,7 +105,7 @@ def test_the_newest_request_overtakes_those_that_wait() -> None:
     ("words", "message"),
     [
         (b"hello\n", "expected one line of JSON with request, preset and bytes"),
-        (b'{"request": 1, "preset": "draft"}\n', "KeyError"),
+        (b'{"request": 1, "preset": "draft"}\n', "missing required field `bytes`"),
         (b'{"request": 1, "preset": "draft", "bytes": 10}\nshort', "announces 10 bytes and ends after 5"),
         (b'{"request": 1, "preset": "draft", "bytes": -1}\n', "announces -1 bytes"),
         (b'{"request": 1, "preset": "draft", "bytes": %d}\n' % (LARGEST_SHOT + 1), f"expected 1 to {LARGEST_SHOT}"),
