@@ -50,9 +50,8 @@ def check_view(dataset: Dataset, view: View) -> None:
     pose, label = view.pose, view.label
     _finite(view.camera.intrinsics, f"the intrinsics of the camera of view {label}")
     _finite(view.camera.world_from_camera, f"the camera pose (world_from_camera) of view {label}")
-    names = [*([pose.person] if pose.person is not None else []), *pose.objects]
-    unknown = [name for name in names if name not in dataset.persons and name not in dataset.objects]
-    if unknown or not names:
+    unknown = [name for name in pose.shown if name not in dataset.persons and name not in dataset.objects]
+    if unknown or not pose.shown:
         shown = f"'{unknown[0]}', of whom the capture knows nothing" if unknown else "neither a person nor an object"
         raise DatasetError(f"view {label} shows {shown}; correct the capture, or leave the sequence out")
     bones, objects = np.asarray(pose.world_from_bone), np.asarray(pose.world_from_object)
