@@ -6,14 +6,13 @@ together with them.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from chona_model.data.dataset import Dataset, DatasetError
 from chona_model.data.renamed import renamed
-from chona_model.formats.model_file import ModelFileError, ModelHeader, read_header
+from chona_model.formats.model_file import ModelFileError, ModelHeader, file_hash, read_header
 from chona_model.grid_actor import GridActor
 from chona_model.methods import METHODS, method_of
 from chona_model.model_store import load_actor
@@ -23,8 +22,6 @@ from chona_model.train.fast_settings import FastSettings
 from chona_model.train.grid_trainer import GridTrainer
 from chona_model.train.repeatable import repeatable
 from chona_model.train.run import MODEL, TrainRun, held_folder, report_end, run_trainer, save_model
-
-CHUNK = 1 << 20
 
 
 def add(
@@ -57,7 +54,7 @@ def add(
             trainer = GridTrainer(
                 dataset, settings, run.seed, run.image_scale, method, device=run.device, base=actor.model
             )
-            identity = {"base": _digest(base), "method": header.method}
+            identity = {"base": file_hash(base), "method": header.method}
             grown, training = run_trainer(trainer, dataset, out, held, run, identity, progress)
         note = {key: training[key] for key in ("steps", "seconds", "views", "data", "finished")}
         before = header.training
@@ -102,7 +99,7 @@ def _shown_alone(dataset: Dataset, names: tuple[str, ...], header: ModelHeader) 
     unknown = next((name for name in names if name not in held), None)
     if unknown is not None:
         raise DatasetError(f"there is no '{unknown}' in the data; they hold {', '.join(held) or 'nobody'}")
-    if not METHODS[header.method].dataset(dataset).objects and any(name in dataset.objects for name in names):
+    if METHODS[header.method].objects == "none" and any(name in dataset.objects for name in names):
         raise DatasetError(
             f"the method '{header.method}' of {header.path} knows no objects; add one to a model of the method chona"
         )
@@ -129,12 +126,3 @@ def _shown_alone(dataset: Dataset, names: tuple[str, ...], header: ModelHeader) 
             f"{len(header.skeleton)}, or with other names; capture the person with the model's rig"
         )
     return replace(dataset, skeleton=header.skeleton, persons=persons, objects=objects, views=views)
-
-
-def _digest(path: Path) -> str:
-    """Of a file's content, so that a run is continued on the model that it began with."""
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while chunk := stream.read(CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
