@@ -133,6 +133,8 @@ def train(dataset: Dataset, out: Path, run: TrainRun, progress: Progress) -> Pat
 def held_folder(out: Path) -> Iterator[FolderLock | None]:
     """The lock on a run's folder; of several processes that train together the first has it, the others None.
 
+    What asked an earlier training to stop is removed at once: whatever asks from here on asks this one.
+
     Raises:
         FolderBusyError: another training writes into it.
     """
@@ -140,6 +142,8 @@ def held_folder(out: Path) -> Iterator[FolderLock | None]:
         yield None
         return
     with lock_folder(out, WHAT) as held:
+        if read_launch().attempt == 0:  # a later attempt goes on with what was asked of the first
+            (out / STOP).unlink(missing_ok=True)
         yield held
 
 
@@ -161,8 +165,6 @@ def run_trainer(
     """
     preview = None
     if together.leads():
-        if read_launch().attempt == 0:  # a later attempt goes on with what was asked of the first
-            (out / STOP).unlink(missing_ok=True)
         if not run.resume:
             (out / PREVIEW).unlink(missing_ok=True)
         preview = None if run.preview_every is None else Preview(dataset, out, run.preview_every)
