@@ -9,13 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person
+from chona_model.data.dataset import Dataset, DatasetError
 from chona_model.data.soundness import check_dataset
-from chona_model.deform.voxels import bone_nodes
-from chona_model.field.codes import draw_invariant_codes
-from chona_model.field.grid import GridShape
 from chona_model.grid_actor import GridActor
-from chona_model.grid_growth import grown
 from chona_model.grid_inputs import occupied_cells, starts_of, surfaces_of
 from chona_model.grid_model import GridModel, GridModelShape
 from chona_model.kernels.cpu.advance import Starts
@@ -28,10 +24,15 @@ from chona_model.train.batch import Batch, DrawnRays, trace_fused, trace_staged
 from chona_model.train.distance import DistanceField
 from chona_model.train.errors import TrainingError, decibels, density_not_finite, likely_causes, loss_not_finite
 from chona_model.train.fast_settings import FastSettings
+from chona_model.train.first_model import first_model
 from chona_model.train.grid_optimiser import GridOptimiser
 from chona_model.train.hull import carve_hull
-from chona_model.train.objects import object_distance
 from chona_model.train.pixels import ViewPool, group_by_pose, make_pools
+from chona_model.train.ray_codes import ray_codes
+from chona_model.train.skinning_loss import SkinningLoss
+
+KEPT_MATRICES = 64
+"""Poses whose blended matrices are kept: two megabytes each."""
 
 
 def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
@@ -44,24 +45,6 @@ def _wrong_part(out: Tensor, part: Tensor) -> Tensor:
 def _ends(drawn: list[DrawnRays]) -> np.ndarray:
     """Where the rays of one pose end and those of the next begin."""
     return np.cumsum([len(rays) for rays in drawn])[:-1]
-
-
-def _make_model(dataset: Dataset, shape: GridModelShape | None, method: Method) -> GridModel:
-    slots = max((len(view.pose.objects) for view in dataset.views), default=0)
-    shape = shape or GridModelShape(field=GridShape(), object_slots=max(slots, 1))
-    shape = replace(shape, turns_objects=method.objects != "placed", reach=method.reach)
-    field = replace(shape.field, own_codes=method.own_codes)
-    if method.joint:
-        field = replace(field, joint=True, rows=max(field.rows, JOINT_ROWS))
-    shape = replace(shape, field=field)
-    return GridModel(dataset.skeleton, dataset.persons, dataset.objects, object_distance(dataset), shape)
-
-
-JOINT_ROWS = 19
-"""log2 of the rows of a level where all persons or all objects share them: four identities' worth."""
-
-KEPT_MATRICES = 64
-"""Poses whose blended matrices are kept: two megabytes each."""
 
 
 class GridTrainer:
@@ -92,18 +75,14 @@ class GridTrainer:
         self.settings, self.seed, self.method = settings, seed, method
         guessed = any(person.surface is None for person in dataset.persons.values())
         self.learns_skinning = guessed or settings.refine_given_weights
-        if base is None:
-            self.model = _make_model(dataset, shape, method)
-        else:
-            self.model = grown(base, list(dataset.persons.values()), list(dataset.objects.values()))
-        self.persons = [self.model.person_index(name) for name in dataset.persons]
-        objects = [len(self.model.persons) + self.model.object_index(name) for name in dataset.objects]
-        self.parts = [*self.persons, *objects]
+        self.model = first_model(dataset, method, shape, base)
+        persons = {self.model.person_index(name): name for name in dataset.persons}
+        first = len(self.model.persons)
+        self.parts = persons | {first + self.model.object_index(name): name for name in dataset.objects}
         self.posed = [self.model.posed(group.views[0].pose) for group in self.groups]
         images = [list(zip(group.views, group.pixels, strict=True)) for group in self.groups]
-        carve_hull(self.model, self.posed, images, self.parts)
-        counts = [len(self.model.occupancy.occupied(part)) for part in self.parts]
-        empty = [part.name for part, count in zip(self._learned(), counts, strict=True) if count == 0]
+        carve_hull(self.model, self.posed, images, tuple(self.parts))
+        empty = [name for part, name in self.parts.items() if len(self.model.occupancy.occupied(part)) == 0]
         if empty:
             raise DatasetError(
                 f"the masks leave no room for {', '.join(empty)}: no point falls inside them in every view; check "
@@ -117,16 +96,8 @@ class GridTrainer:
         self.distances = DistanceField(self.model, self._usual_pair, seed) if method.distances else None
         if self.distances is not None:
             self.distances.begin(GridOptimiser(self.model, settings, self.fused))
-        self.optimiser = GridOptimiser(self.model, settings, self.fused, None if base is None else self.persons)
-        self.bones = [
-            bone_nodes(self.model.grid(index), dataset.skeleton, person.rest_joints)
-            for index, person in enumerate(self.model.persons)
-        ]
-
-    def _learned(self) -> list[Person | ObjectShape]:
-        """What ``parts`` are."""
-        identities: list[Person | ObjectShape] = [*self.model.persons, *self.model.objects]
-        return [identities[part] for part in self.parts]
+        self.optimiser = GridOptimiser(self.model, settings, self.fused, None if base is None else list(persons))
+        self.skinning_loss = SkinningLoss(self.model, dataset, settings)
 
     def _rebuild(self) -> None:
         """Posed grids and pools from occupancy and skinning as they are now, which are noted for resuming."""
@@ -167,7 +138,9 @@ class GridTrainer:
         figures = [self.posed[number] for number in chosen]
         mine = together.mine(len(part))
         drawn = [rays.only(own) for rays, own in zip(drawn, np.split(mine, _ends(drawn)), strict=True)]
-        pairs, ray_pair = self._identities(pose, part, index)
+        pairs, ray_pair = ray_codes(
+            self.model, self.posed, pose, exchange=self.method.invariant_codes, seed=self.seed, step=index
+        )
         batch = Batch(
             figures, [self.grids[number] for number in chosen], drawn, random.random(len(part), dtype=np.float32),
             ray_pair, pairs, real(np.stack([figure.code for figure in figures])), self.model.root_light(figures),
@@ -185,7 +158,7 @@ class GridTrainer:
         image_loss = ((predicted - real(target)) ** 2).mean()
         loss = image_loss + settings.part_loss * _wrong_part(out, torch.as_tensor(part, device=out.device)).mean()
         if skinning:
-            loss = loss + together.share() * self._regularisers(figures)
+            loss = loss + together.share() * self.skinning_loss(figures)
         if self.distances is not None:
             loss = loss + together.share() * self.distances.eikonal(index)
         empty = float(((target - background) ** 2).mean())
@@ -229,46 +202,6 @@ class GridTrainer:
             pool.part[pick],
         )  # fmt: skip
 
-    def _identities(self, pose: np.ndarray, part: np.ndarray, index: int) -> tuple[Tensor, np.ndarray]:
-        """Pairs of identities in use [Q, 2] and [R, 1 + N] int64 each ray's pair for the person and for every object
-        slot; CIL exchanges what a ray does not show."""
-        slots = self.model.shape.object_slots
-        shown = torch.full((len(self.posed), slots), -1)
-        for row, figure in enumerate(self.posed):
-            shown[row, : len(figure.objects)] = torch.tensor(figure.objects, dtype=torch.int64)
-        persons = torch.tensor([figure.person for figure in self.posed])[torch.from_numpy(pose).long()]
-        objects = shown[torch.from_numpy(pose).long()]
-        n_persons, n_objects = len(self.model.persons), len(self.model.objects)
-        if self.method.invariant_codes and (n_persons > 1 or n_objects > 1):
-            persons, objects = draw_invariant_codes(
-                persons, objects, torch.from_numpy(part == 1), torch.from_numpy(part == 2),
-                n_persons=n_persons, n_objects=n_objects, seed=self.seed, step=index, background=True,
-            )  # fmt: skip
-        pairs = torch.cartesian_prod(torch.arange(-1, n_persons), torch.arange(-1, n_objects))
-        if self.model.shape.field.own_codes:
-            nobody = torch.full((len(persons), 1), -1)
-            of_person = torch.cat([persons[:, None], nobody.expand(-1, slots)], dim=1)
-            of_object = torch.cat([nobody, objects], dim=1)
-        else:
-            of_person, of_object = persons[:, None], torch.cat([objects[:, :1], objects], dim=1)
-        used, ray_pair = torch.unique((of_person + 1) * (n_objects + 1) + of_object + 1, return_inverse=True)
-        return pairs[used], ray_pair.numpy()
-
-    def _regularisers(self, figures: list) -> Tensor:
-        """λ L_w + β L_Δ: one-hot weights on the bones, offsets near zero."""
-        total = self.model.real(np.zeros(()))
-        for person in sorted({figure.person for figure in figures if figure.person >= 0}):
-            volume = self.model.volume(person)
-            nodes, bones = self.bones[person]
-            weights = volume.logits[nodes].softmax(dim=1)
-            one_hot = torch.nn.functional.one_hot(bones.to(weights.device), weights.shape[1])
-            total = total + self.settings.weight_loss * ((weights - one_hot) ** 2).mean()
-            codes = np.stack([figure.code for figure in figures if figure.person == person])
-            offset = volume.offset(self.model.real(codes))
-            if offset is not None:
-                total = total + self.settings.offset_loss * (offset**2).mean()
-        return total
-
     def _follow_density(self, done: int) -> None:
         """Refreshes cached densities from the field, and the posed grids at their appointed steps."""
         if self.settings.cull_from <= done <= self.settings.cull_until and done % self.settings.cull_every == 0:
@@ -292,8 +225,7 @@ class GridTrainer:
             torch.zeros(len(points), dtype=torch.int64, device=pair.device),
         ).float().cpu()  # fmt: skip
         if not bool(torch.isfinite(density).all()):
-            name = self._learned()[self.parts.index(part)].name
-            raise TrainingError(density_not_finite(name, self.rates))
+            raise TrainingError(density_not_finite(self.parts[part], self.rates))
         cached = np.maximum(occupancy.densities[own][cells] * FADE, density.numpy())
         limit = min(CULL_DENSITY, CULL_SHARE * float(cached.max()))
         occupancy.densities[own][cells] = np.where(cached < limit, 0.0, cached)

@@ -36,17 +36,17 @@ BONE_REACH = 0.20
 
 def carve_hull(
     model: GridModel, poses: Sequence[PosedFigure], views: Sequence[Sequence[tuple[View, Pixels]]],
-    parts: Sequence[int] | None = None,
+    parts: Sequence[int],
 ) -> None:  # fmt: skip
     """Sets the model's occupancy to the visual hull.
 
     Args:
         poses: every training pose; views: the images of each.
-        parts: which to carve, all when None; the others stay as they are.
+        parts: which to carve; the others stay as they are.
     """
     occupancy = model.occupancy
     union = [[binary_dilation(pixels.mask, iterations=MASK_MARGIN) for _, pixels in row] for row in views]
-    for part in range(len(occupancy.dims)) if parts is None else parts:
+    for part in parts:
         cells = np.arange(len(occupancy.part(part)))
         is_person = part < len(model.persons)
         if is_person:

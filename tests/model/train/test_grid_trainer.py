@@ -13,10 +13,11 @@ from tiny_models import SETTINGS, SHAPE, tiny_trainer, trained
 
 from chona_model.data.dataset import DatasetError, load_pixels
 from chona_model.evaluate.metrics import psnr
-from chona_model.methods import METHODS
 from chona_model.settings import RENDER_PRESETS
+from chona_model.train import grid_trainer
 from chona_model.train.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from chona_model.train.grid_trainer import GridTrainer, _wrong_part
+from chona_model.train.ray_codes import ray_codes
 
 
 def test_learns_what_the_pictures_show() -> None:
@@ -60,8 +61,8 @@ def test_the_same_seed_gives_the_same_model_and_resuming_changes_nothing(capture
     save_checkpoint(tmp_path, broken.state(), {"step": stop, "seconds": 1.0}, settings)
     state, position = load_checkpoint(tmp_path, settings)
     resumed = tiny_trainer(capture)
-    resumed.restore(state, position["step"])
-    for index in range(position["step"], 60):
+    resumed.restore(state, position.step)
+    for index in range(position.step, 60):
         resumed.step(index, index / 60)
     expected, got = whole.state(), resumed.state()
     assert expected.keys() == got.keys()
@@ -78,24 +79,34 @@ def test_a_checkpoint_of_other_settings_is_refused(capture, tmp_path) -> None:
         load_checkpoint(tmp_path / "elsewhere", {})
 
 
-def test_invariant_learning_exchanges_the_code_that_a_ray_does_not_show(capture) -> None:
+def test_invariant_learning_exchanges_the_code_of_the_other_kind(capture) -> None:
     trainer = tiny_trainer(capture)
-    pose = np.zeros(300, dtype=np.int32)
-    part = np.repeat([0, 1, 2], 100)
+    pose = np.zeros(400, dtype=np.int32)
     figure = trainer.posed[0]
-    pairs, index = trainer._identities(pose, part, 5)
-    assert (index[:, 0] == index[:, 1]).all()
-    drawn = pairs[index[:, 1]]
-    own = torch.tensor([figure.person, figure.objects[0]])
-    exchanged = drawn[:100] != own  # the background is taken for either by lot
-    assert exchanged.any(dim=0).all() and not exchanged.all(dim=1).any()
-    assert (drawn[100:200, 0] == figure.person).all()
-    assert set(drawn[100:200, 1].tolist()) == {0, 1}
-    assert (drawn[200:, 1] == figure.objects[0]).all()
-    assert set(drawn[200:, 0].tolist()) == {0, 1}
-    plain = tiny_trainer(capture, method=METHODS["no-cil"])
-    pairs, index = plain._identities(pose, part, 5)
-    assert (pairs[index[:, 0]] == torch.tensor([figure.person, figure.objects[0]])).all()
+    pairs, index = ray_codes(trainer.model, trainer.posed, pose, exchange=True, seed=0, step=5)
+    person, thing = pairs[index[:, 0]], pairs[index[:, 1]]
+    assert (person[:, 0] == figure.person).all() and (thing[:, 1] == figure.objects[0]).all()
+    # Each of two is told on half of 400 rays, within five standard deviations.
+    assert ((torch.bincount(person[:, 1], minlength=2) - 200).abs() < 50).all()
+    assert ((torch.bincount(thing[:, 0], minlength=2) - 200).abs() < 50).all()
+    again = ray_codes(trainer.model, trainer.posed, pose, exchange=True, seed=0, step=5)
+    assert torch.equal(again[0], pairs) and (again[1] == index).all()
+    pairs, index = ray_codes(trainer.model, trainer.posed, pose, exchange=False, seed=0, step=5)
+    assert (pairs[index] == torch.tensor([figure.person, figure.objects[0]])).all()
+
+
+def test_matrices_that_were_let_go_are_made_again(tmp_path, monkeypatch) -> None:
+    dataset = tiny_capture(tmp_path, persons=1, objects=1, frames=5, cameras=2, size=(32, 24))
+    states = []
+    for kept in (64, SETTINGS.poses):
+        monkeypatch.setattr(grid_trainer, "KEPT_MATRICES", kept)
+        trainer = tiny_trainer(dataset)
+        assert len(trainer.posed) > SETTINGS.poses
+        for index in range(12):  # before any learning of skinning, which forgets them all
+            trainer.step(index, 0.0)
+        assert len(trainer._kept) == min(kept, len(trainer.posed))
+        states.append(trainer.state())
+    assert all(torch.equal(value, states[1][name]) for name, value in states[0].items())
 
 
 def test_masks_without_a_hull_are_refused(tmp_path) -> None:

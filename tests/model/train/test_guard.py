@@ -151,12 +151,12 @@ def test_the_last_good_checkpoint_and_model_stay(disk, monkeypatch, trainer, kep
         train(monkeypatch, dataset, disk / "run", lambda d, r: trainer, steps=300)
     state, position = load_checkpoint(disk / "run", {})
     # The last few steps' average takes some to rise over the limit; until then the model may still be called good.
-    assert kept <= position["step"] <= kept + 3 * GuardSettings().glance
+    assert kept <= position.step <= kept + 3 * GuardSettings().glance
     assert torch.isfinite(state["model.weights"]).all()
     assert (disk / "run" / "model.safetensors").read_bytes() == b"old"
-    for word in (*words, f"checkpoint of step {position['step']} is kept", "--resume", "the one from before"):
+    for word in (*words, f"checkpoint of step {position.step} is kept", "--resume", "the one from before"):
         assert word in str(caught.value)
-    again = train(monkeypatch, dataset, disk / "run", lambda d, r: Scripted(lambda step: 0.3), steps=position["step"],
+    again = train(monkeypatch, dataset, disk / "run", lambda d, r: Scripted(lambda step: 0.3), steps=position.step,
                   resume=True)  # fmt: skip
     assert again.read_bytes() == b"new", "the checkpoint makes a model, as the message says"
 
