@@ -12,6 +12,9 @@ from . import model_cache
 if TYPE_CHECKING:
     from .actor_properties import CHONA_PG_actor
 
+NO_MODEL = "Choose a model file first"
+NO_CAPTURES = "Choose the folder with the captures first"
+
 
 def why_not_ready(scene: bpy.types.Scene) -> str:
     """What is missing for a picture of all actors that are switched on, the first thing to do first; or nothing."""
@@ -22,7 +25,7 @@ def _obstacles(scene: bpy.types.Scene) -> Iterator[str]:
     settings = scene.chona
     actors = settings.used_actors()
     if not any(actor.model_path for actor in settings.actors):
-        yield "Choose a model file first"
+        yield NO_MODEL
     elif not actors:
         yield "Every actor is switched off: switch one on under Model"
     for actor in actors:

@@ -142,6 +142,14 @@ class Camera:
         return np.stack([columns, rows], axis=-1)
 
 
+def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """[4, 4] float64 of a rotation [3, 3] and a translation [3]."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
 def is_rotation(matrix: np.ndarray, tolerance: float = 1e-3) -> bool:
     """Whether a matrix [3, 3] is one, to ``tolerance`` in every entry of RᵀR − I; what is not finite is none."""
     if not (np.abs(matrix) <= 2.0).all():

@@ -11,13 +11,13 @@ from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
 from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
 from chona_model.study_line import add_add, add_reproduce
+from chona_model.training_line import add_training
 
 METHODS = ("chona", "no-cil", "separate", "joint", "joint-no-cil", "object-translation", "tava", "arah", "arah-object")
 """Of ``methods.py``, which is not read before it is needed."""
 TRAIN_PRESETS = ("fast", "paper")
 MANAGERS = ("flamenco", "slurm")
 DEFAULT_PRESET = "final"
-MAX_SEED = 2**63 - 1
 PATIENCE = 120.0
 """Seconds: NFS clients show each other's changes up to 60 late."""
 DEVICE_HELP = "what it computes on; auto takes CUDA where there is a card"
@@ -56,15 +56,7 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     train.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for model, log and checkpoint")
     train.add_argument("--method", choices=METHODS, default="chona", help="default: chona")
     train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast", help="the paper's take hours")
-    length = train.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
-    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="how many steps to train")
-    train.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N", help="of all random numbers")
-    train.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
-    train.add_argument(
-        "--preview-every", type=number(0, above=True), metavar="S",
-        help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
-    )  # fmt: skip
+    add_training(train, steps="how many steps to train")
 
     addition = add("add", "add a person or an object, seen alone, to a model that stays as it is", long=True)
     _add_sources(addition, "repeat it to add from several")

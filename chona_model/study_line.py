@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from chona_model.arguments import name_list, number, whole
+from chona_model.training_line import MAX_SEED, add_length, add_training
 
 DEFAULT_MINUTES = 10.0
 """Of training a cell."""
@@ -21,15 +22,7 @@ def add_add(command: argparse.ArgumentParser) -> None:
         help="persons and objects of the data, seen alone or with each other; B=C adds B by the name C",
     )  # fmt: skip
     command.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder for the new model and its log")
-    length = command.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=number(0, above=True), metavar="M", help="how long to train")
-    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help=f"default: {ADD_STEPS}")
-    command.add_argument("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N", help="of all random numbers")
-    command.add_argument("--resume", action="store_true", help="continue from the checkpoint in RUN")
-    command.add_argument(
-        "--preview-every", type=number(0, above=True), metavar="S",
-        help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
-    )  # fmt: skip
+    add_training(command, steps=f"default: {ADD_STEPS}")
 
 
 def add_reproduce(command: argparse.ArgumentParser) -> None:
@@ -37,17 +30,13 @@ def add_reproduce(command: argparse.ArgumentParser) -> None:
     command.add_argument("table", metavar="TABLE", help="novel-pose, boxes, compositional, static-object, novel-person")
     command.add_argument("--data", type=Path, required=True, metavar="DIR", help="holds behave, zju_mocap and co3d")
     command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for cells, tables and pictures")
-    length = command.add_mutually_exclusive_group()
-    length.add_argument(
-        "--minutes", type=number(0, above=True), metavar="M", help=f"to train a cell (default: {DEFAULT_MINUTES:g})"
-    )
-    length.add_argument("--steps", type=whole(1, 10**9), metavar="N", help="to train a cell, in place of minutes")
+    add_length(command, f"to train a cell (default: {DEFAULT_MINUTES:g})", "to train a cell, in place of minutes")
     command.add_argument("--image-scale", type=number(0, 1, above=True), metavar="S", help="default: 1")
     command.add_argument("--preset", choices=("fast", "paper"), default="fast", help="of training (default: fast)")
     command.add_argument("--quality", default="final", metavar="P", help="of rendering (default: final)")
     command.add_argument("--rows", type=name_list, metavar="A,B,…", help="methods (default: all that there are)")
     command.add_argument("--columns", type=name_list, metavar="A,B,…", help="default: all")
-    command.add_argument("--seed", type=whole(0, 2**63 - 1), default=0, metavar="N")
+    command.add_argument("--seed", type=whole(0, MAX_SEED), default=0, metavar="N")
     command.add_argument(
         "--devices", type=name_list, metavar="cuda:0,…", help="a cell on each at a time (default: --device)"
     )

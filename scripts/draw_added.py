@@ -15,6 +15,7 @@ from PIL import Image
 
 from chona_model.data.opener import open_dataset
 from chona_model.formats.atomic import atomic_path
+from chona_model.formats.picture import eight_bit
 from chona_model.model_store import load_actor
 from chona_model.reproduce.exchange import performed_by, with_objects
 from chona_model.settings import RENDER_PRESETS
@@ -37,9 +38,7 @@ def main(model: Path, data: Path, out: Path, shots: list[str]) -> None:
         picture = actor.render(pose, view.camera, RENDER_PRESETS["final"])
         rows, columns = np.nonzero(picture.alpha > 0.05)
         box = (columns.min() - MARGIN, rows.min() - MARGIN, columns.max() + MARGIN, rows.max() + MARGIN)
-        image = Image.fromarray(np.round(np.clip(picture.rgb, 0.0, 1.0) * 255).astype(np.uint8)).crop(
-            tuple(map(int, box))
-        )
+        image = Image.fromarray(eight_bit(picture.rgb)).crop(tuple(map(int, box)))
         scale = SIDE / max(image.size)
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.LANCZOS)
         sheet.paste(image, (place * SIDE + (SIDE - image.width) // 2, (SIDE - image.height) // 2))

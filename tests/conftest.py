@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +23,15 @@ def hoibench() -> Path:
     if not (folder / "behave" / "sequences").is_dir():
         pytest.skip("the benchmark capture is absent; name its folder in CHONA_HOIBENCH")
     return folder
+
+
+@pytest.fixture(scope="session")
+def blender_launcher() -> list[str]:
+    """The command that starts the real Blender: $CHONA_BLENDER, for example ``xvfb-run blender``."""
+    command = shlex.split(os.environ.get("CHONA_BLENDER", ""))
+    if not command or shutil.which(command[0]) is None:
+        pytest.skip("$CHONA_BLENDER names no Blender")
+    return command
 
 
 @pytest.fixture

@@ -39,6 +39,7 @@ FLOORS = (
     ("kernels",),
     ("command_line",),
     ("study_line",),
+    ("training_line",),
     (
         "settings",
         "geometry",

@@ -7,6 +7,7 @@ import bpy
 from .. import actions, jobs, model_cache
 from ..errors import ChonaError
 from ..rig.armature import create_empty
+from .poll import needs, needs_model
 
 NOBODY = "(nobody)"
 """Instead of a person: the objects alone."""
@@ -32,15 +33,6 @@ def _objects(_self: object, context: bpy.types.Context) -> list[tuple[str, str, 
     return _shown["objects"]
 
 
-def _has_model(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether the selected actor has a model; else a poll message says what to do."""
-    actor = context.scene.chona.actor
-    if actor is None or not actor.model_path:
-        cls.poll_message_set("Choose a model file first")
-        return False
-    return True
-
-
 class CHONA_OT_actor_add(bpy.types.Operator):
     """Add an actor with the same model; actors are rendered together and hide each other by depth"""
 
@@ -50,10 +42,7 @@ class CHONA_OT_actor_add(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene is None:
-            cls.poll_message_set("There is no scene")
-            return False
-        return True
+        return needs(cls, context.scene is not None, "There is no scene")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.chona
@@ -77,10 +66,7 @@ class CHONA_OT_actor_remove(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.actors:
-            cls.poll_message_set("The list of actors is empty")
-            return False
-        return True
+        return needs(cls, context.scene.chona.actors, "The list of actors is empty")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.chona
@@ -102,7 +88,7 @@ class CHONA_OT_choose_person(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_model(cls, context)
+        return needs_model(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         context.scene.chona.ensure_actor().person = "" if self.person == NOBODY else self.person
@@ -123,7 +109,7 @@ class CHONA_OT_object_add(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_model(cls, context)
+        return needs_model(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         actor = context.scene.chona.ensure_actor()
@@ -165,10 +151,7 @@ class CHONA_OT_object_remove(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.objects:
-            cls.poll_message_set("The list of objects is empty")
-            return False
-        return True
+        return needs(cls, context.scene.chona.objects, "The list of objects is empty")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         actor = context.scene.chona.actor
@@ -186,10 +169,7 @@ class CHONA_OT_create_rig(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Go to Object Mode first")
-            return False
-        return _has_model(cls, context)
+        return needs(cls, context.mode == "OBJECT", "Go to Object Mode first") and needs_model(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

@@ -12,6 +12,7 @@ from ..errors import ChonaError
 from ..output import Output, bake_output, output_now
 from ..readiness import why_not_ready
 from .image_editor import show_image
+from .poll import allowed, needs
 
 
 def why_no_bake(scene: bpy.types.Scene) -> str:
@@ -41,10 +42,7 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = why_no_bake(context.scene)
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, why_no_bake(context.scene))
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         scene = context.scene
@@ -106,10 +104,7 @@ class CHONA_OT_show_frames(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if output_now(context.scene) is None:
-            cls.poll_message_set("Set the output folder and a name first")
-            return False
-        return True
+        return needs(cls, output_now(context.scene), "Set the output folder and a name first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -128,10 +123,7 @@ class CHONA_OT_cancel(bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if jobs.running() is None:
-            cls.poll_message_set("Nothing is running")
-            return False
-        return True
+        return needs(cls, jobs.running(), "Nothing is running")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         job = jobs.running()

@@ -8,6 +8,7 @@ from .. import capturing, jobs, ring_view
 from ..capture_command import estimate_words
 from ..capturing import CaptureJob
 from ..errors import ChonaError
+from .poll import allowed, needs
 
 
 def why_no_capture(scene: bpy.types.Scene) -> str:
@@ -24,10 +25,7 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = why_no_capture(context.scene)
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, why_no_capture(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window: in this process."""
@@ -63,10 +61,7 @@ class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = why_no_capture(context.scene)
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, why_no_capture(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window: in this process."""
@@ -97,10 +92,8 @@ class CHONA_OT_show_ring(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.chona.capture_armature is None and not ring_view.is_on():
-            cls.poll_message_set("Choose the armature of the character first")
-            return False
-        return True
+        there = context.scene.chona.capture_armature is not None or ring_view.is_on()
+        return needs(cls, there, "Choose the armature of the character first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         ring_view.switch(context.scene, not ring_view.is_on())

@@ -8,6 +8,7 @@ from .. import check_store, jobs
 from ..checking import run_check
 from ..errors import ChonaError
 from ..rig.findings import ERROR, WARNING, Finding
+from .poll import needs
 
 
 class CHONA_OT_check(bpy.types.Operator):
@@ -19,10 +20,7 @@ class CHONA_OT_check(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.used_actors():
-            cls.poll_message_set("Choose a model file and an armature first")
-            return False
-        return True
+        return needs(cls, context.scene.chona.used_actors(), "Choose a model file and an armature first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -50,10 +48,7 @@ class CHONA_OT_show_finding(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if check_store.report_of(context.scene) is None:
-            cls.poll_message_set("Press Check first")
-            return False
-        return True
+        return needs(cls, check_store.report_of(context.scene), "Press Check first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         shown = context.window_manager.chona_findings

@@ -8,6 +8,7 @@ import bpy
 from .. import actions, compositing, jobs
 from ..errors import ChonaError
 from ..output import bake_output, output_now
+from .poll import needs
 
 
 class CHONA_OT_composite(bpy.types.Operator):
@@ -19,10 +20,9 @@ class CHONA_OT_composite(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if output_now(context.scene) is None:
-            cls.poll_message_set("Set the output folder that holds the baked frames, and their name, first")
-            return False
-        return True
+        return needs(
+            cls, output_now(context.scene), "Set the output folder that holds the baked frames, and their name, first"
+        )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -50,10 +50,7 @@ class CHONA_OT_composite_remove(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not compositing.has_layers(context.scene):
-            cls.poll_message_set("The scene's compositor has no CHONA layer")
-            return False
-        return True
+        return needs(cls, compositing.has_layers(context.scene), "The scene's compositor has no CHONA layer")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene

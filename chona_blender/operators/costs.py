@@ -7,8 +7,10 @@ import bpy
 from .. import jobs, measuring, model_cache, presets
 from ..errors import ChonaError
 from ..measuring import EstimateJob
+from ..readiness import NO_CAPTURES, NO_MODEL
 from .bake import why_no_bake
 from .image_editor import show_image
+from .poll import allowed, needs
 
 
 class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
@@ -20,10 +22,7 @@ class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = why_no_bake(context.scene)
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, why_no_bake(context.scene))
 
     def start(self, context: bpy.types.Context) -> EstimateJob:
         self._scene = context.scene.name
@@ -50,13 +49,10 @@ class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
         settings = context.scene.chona
         reasons = (
             (bool(jobs.busy()), jobs.busy()),
-            (not settings.model_path, "Choose a model file first"),
-            (not settings.data_folder, "Choose the folder with the captures first"),
+            (not settings.model_path, NO_MODEL),
+            (not settings.data_folder, NO_CAPTURES),
         )
-        words = next((words for applies, words in reasons if applies), "")
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, next((words for applies, words in reasons if applies), ""))
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         self._scene = context.scene.name
@@ -78,10 +74,7 @@ class CHONA_OT_show_trade(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.model_path:
-            cls.poll_message_set("Choose a model file first")
-            return False
-        return True
+        return needs(cls, context.scene.chona.model_path, NO_MODEL)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

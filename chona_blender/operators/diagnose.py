@@ -9,6 +9,7 @@ from ..errors import ChonaError
 from ..output import bake_output, output_now
 from ..worker import find_python
 from ..worker_check import check_worker, judge, probe_command
+from .poll import allowed, needs
 
 
 class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
@@ -20,10 +21,7 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        words = jobs.busy()
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, jobs.busy())
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         diagnosis.worker_report = check_worker(preferences.worker_python(), device=preferences.device())
@@ -59,10 +57,7 @@ class CHONA_OT_open_output(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if output_now(context.scene) is None:
-            cls.poll_message_set("Set the output folder and a name first")
-            return False
-        return True
+        return needs(cls, output_now(context.scene), "Set the output folder and a name first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         folder = bake_output(context.scene).folder

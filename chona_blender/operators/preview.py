@@ -7,6 +7,7 @@ import bpy
 from .. import jobs, live, live_kept
 from ..errors import ChonaError
 from ..readiness import why_not_ready
+from .poll import allowed, needs
 
 
 class CHONA_OT_live_preview(bpy.types.Operator):
@@ -18,10 +19,8 @@ class CHONA_OT_live_preview(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = "" if live.preview.is_on_for(context.scene) else why_not_ready(context.scene)  # off is always possible
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        on = live.preview.is_on_for(context.scene)  # off is always possible
+        return allowed(cls, "" if on else why_not_ready(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if live.preview.is_on_for(context.scene):
@@ -44,10 +43,8 @@ class CHONA_OT_live_restart(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not (live.preview.is_on_for(context.scene) and live.preview.stopped):
-            cls.poll_message_set("The preview's worker is running, or the preview is off")
-            return False
-        return True
+        stopped = live.preview.is_on_for(context.scene) and live.preview.stopped
+        return needs(cls, stopped, "The preview's worker is running, or the preview is off")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         live_kept.start_again()

@@ -7,8 +7,10 @@ from bl_operators.presets import AddPresetBase
 
 from .. import jobs, model_cache
 from ..errors import ChonaError
+from ..readiness import NO_MODEL
 from ..rig.mapping import map_rig
 from . import actors, check
+from .poll import allowed, needs
 
 PRESET_FOLDER = "chona/rig"
 """Under presets/ of Blender's user scripts."""
@@ -18,14 +20,11 @@ def _has_rig(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Whether there is a table of bones to work on; else a poll message says what to do."""
     actor = context.scene.chona.actor
     reasons = (
-        (actor is None or not actor.model_path, "Choose a model file first"),
+        (actor is None or not actor.model_path, NO_MODEL),
         (actor is not None and not actor.person, "Choose a person first: objects have no bones"),
         (actor is not None and actor.armature is None, "Choose an armature first"),
     )
-    words = next((words for off, words in reasons if off), "")
-    if words:
-        cls.poll_message_set(words)
-    return not words
+    return allowed(cls, next((words for off, words in reasons if off), ""))
 
 
 class CHONA_OT_map_rig(bpy.types.Operator):
@@ -77,10 +76,7 @@ class CHONA_OT_bone_pick(bpy.types.Operator):
         if not _has_rig(cls, context):
             return False
         bone = context.scene.chona.actor.armature.data.bones.active
-        if bone is None:
-            cls.poll_message_set("Select a bone of the armature in Pose Mode first")
-            return False
-        return True
+        return needs(cls, bone is not None, "Select a bone of the armature in Pose Mode first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         actor = context.scene.chona.actor
@@ -127,10 +123,7 @@ class CHONA_OT_rig_preset_add(AddPresetBase, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.chona.actor is None:
-            cls.poll_message_set("Choose a model file first")
-            return False
-        return True
+        return needs(cls, context.scene.chona.actor is not None, NO_MODEL)
 
 
 CLASSES = (

@@ -9,6 +9,7 @@ import bpy
 from .. import diagnosis, jobs, live_kept, preferences, worker_home, worker_setup
 from ..errors import ChonaError
 from ..i18n import report_text
+from .poll import allowed, needs
 
 
 class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
@@ -40,7 +41,7 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return _idle(cls)
+        return allowed(cls, jobs.busy())
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Show what would be done; the dialog's button starts it."""
@@ -113,7 +114,7 @@ class CHONA_OT_remove_worker(bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return _idle(cls)
+        return allowed(cls, jobs.busy())
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         try:
@@ -152,20 +153,10 @@ class CHONA_OT_open_network_preferences(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.window is None:
-            cls.poll_message_set("Blender runs without a window")
-            return False
-        return True
+        return needs(cls, context.window is not None, "Blender runs without a window")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         return bpy.ops.screen.userpref_show(section="SYSTEM")
-
-
-def _idle(cls: type[bpy.types.Operator]) -> bool:
-    words = jobs.busy()
-    if words:
-        cls.poll_message_set(words)
-    return not words
 
 
 CLASSES = (CHONA_OT_set_up_worker, CHONA_OT_remove_worker, CHONA_OT_open_network_preferences)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, standin
+from ..readiness import NO_MODEL
+from .poll import allowed, needs
 
 
 def why_no_stand_in(context: bpy.types.Context) -> str:
@@ -14,7 +16,7 @@ def why_no_stand_in(context: bpy.types.Context) -> str:
     if jobs.busy():
         return jobs.busy()
     if actor is None or not actor.model_path:
-        return "Choose a model file first"
+        return NO_MODEL
     if actor.armature is None and not any(item.use for item in actor.objects):
         return "Create a rig, or choose an armature, first"
     if any(item.mode == "EDIT" for item in standin.stand_ins(actor)):
@@ -31,10 +33,7 @@ class CHONA_OT_stand_in_make(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = why_no_stand_in(context)
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, why_no_stand_in(context))
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         return standin.start_stand_in(context.scene, context.scene.chona.actor)
@@ -56,10 +55,7 @@ class CHONA_OT_stand_in_remove(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         actor = context.scene.chona.actor
-        if actor is None or not actor.stand_in.parts:
-            cls.poll_message_set("The selected actor has no stand-in")
-            return False
-        return True
+        return needs(cls, actor is not None and actor.stand_in.parts, "The selected actor has no stand-in")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         standin.remove_stand_in(context.scene.chona.actor)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, model_cache, train_queue, train_rows
-from ..actions import absolute
 from ..errors import ChonaError
+from ..output import absolute
+from ..readiness import NO_CAPTURES
 from ..train_job import PAUSED, TrainJob
 from ..train_rows import CANCELLED, FAILED, RUNNING, WAITING
 from ..train_view import MODEL
+from .poll import allowed, needs
 
 
 class CHONA_OT_train(bpy.types.Operator):
@@ -21,10 +23,7 @@ class CHONA_OT_train(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.chona.data_folder:
-            cls.poll_message_set("Choose the folder with the captures first")
-            return False
-        return True
+        return needs(cls, context.scene.chona.data_folder, NO_CAPTURES)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -45,10 +44,7 @@ class CHONA_OT_run_trainings(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if train_queue.next_waiting() is None:
-            cls.poll_message_set("No training waits, or a job is running")
-            return False
-        return True
+        return needs(cls, train_queue.next_waiting() is not None, "No training waits, or a job is running")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window: one training after the other, until none waits."""
@@ -94,23 +90,7 @@ def _go_on(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]
     return bpy.ops.chona.run_trainings("INVOKE_DEFAULT" if context.window is not None else "EXEC_DEFAULT")
 
 
-class TrainingRow:
-    """Mixin of operators on the selected row of the list."""
-
-    @classmethod
-    def row(cls) -> train_rows.CHONA_PG_training | None:
-        """The selected row."""
-        return train_rows.selected()
-
-    @classmethod
-    def refuse(cls, words: str) -> bool:
-        """Says why the button is off, if anything speaks against it."""
-        if words:
-            cls.poll_message_set(words)  # type: ignore[attr-defined]
-        return not words
-
-
-class CHONA_OT_pause_training(TrainingRow, bpy.types.Operator):
+class CHONA_OT_pause_training(bpy.types.Operator):
     """Stop the running training after its step, with a checkpoint; the trainings that wait go on waiting"""
 
     bl_idname = "chona.pause_training"
@@ -121,8 +101,8 @@ class CHONA_OT_pause_training(TrainingRow, bpy.types.Operator):
     def poll(cls, _context: bpy.types.Context) -> bool:
         job = jobs.running()
         if not isinstance(job, TrainJob):
-            return cls.refuse("No training is running")
-        return cls.refuse("It is stopping already" if job.stopping else "")
+            return allowed(cls, "No training is running")
+        return allowed(cls, "It is stopping already" if job.stopping else "")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         job = jobs.running()
@@ -131,7 +111,7 @@ class CHONA_OT_pause_training(TrainingRow, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class CHONA_OT_resume_training(TrainingRow, bpy.types.Operator):
+class CHONA_OT_resume_training(bpy.types.Operator):
     """Go on with the selected training from its last checkpoint; it comes before all that wait"""
 
     bl_idname = "chona.resume_training"
@@ -140,20 +120,20 @@ class CHONA_OT_resume_training(TrainingRow, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        row = cls.row()
+        row = train_rows.selected()
         if row is None:
-            return cls.refuse("There is no training; add one with Train")
+            return allowed(cls, "There is no training; add one with Train")
         words = {RUNNING: "It is running", train_rows.DONE: "It is done; press Train to train anew"}
-        return cls.refuse(words.get(row.state, ""))
+        return allowed(cls, words.get(row.state, ""))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        row = self.row()
+        row = train_rows.selected()
         if row is not None:
             train_queue.resume(row)
         return _go_on(self, context)
 
 
-class CHONA_OT_cancel_training(TrainingRow, bpy.types.Operator):
+class CHONA_OT_cancel_training(bpy.types.Operator):
     """Stop the selected training after its step, and go on with the next; its checkpoint stays"""
 
     bl_idname = "chona.cancel_training"
@@ -162,18 +142,18 @@ class CHONA_OT_cancel_training(TrainingRow, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        row = cls.row()
+        row = train_rows.selected()
         stops = row is not None and row.state in {RUNNING, WAITING, train_rows.PAUSED}
-        return cls.refuse("" if stops else "The selected training neither runs nor waits")
+        return needs(cls, stops, "The selected training neither runs nor waits")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        row = self.row()
+        row = train_rows.selected()
         if row is not None:
             train_queue.stop(row, jobs.running(), pause=False)
         return {"FINISHED"}
 
 
-class CHONA_OT_move_training(TrainingRow, bpy.types.Operator):
+class CHONA_OT_move_training(bpy.types.Operator):
     """Move the selected training in the list; those that wait start from the top"""
 
     bl_idname = "chona.move_training"
@@ -184,16 +164,16 @@ class CHONA_OT_move_training(TrainingRow, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return cls.refuse("" if len(train_rows.rows()) > 1 else "There is no other training")
+        return needs(cls, len(train_rows.rows()) > 1, "There is no other training")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        row = self.row()
+        row = train_rows.selected()
         if row is not None:
             train_queue.move(row, self.by)
         return {"FINISHED"}
 
 
-class CHONA_OT_remove_training(TrainingRow, bpy.types.Operator):
+class CHONA_OT_remove_training(bpy.types.Operator):
     """Take the selected training out of the list; its folder and its model stay"""
 
     bl_idname = "chona.remove_training"
@@ -202,19 +182,19 @@ class CHONA_OT_remove_training(TrainingRow, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        row = cls.row()
+        row = train_rows.selected()
         if row is None:
-            return cls.refuse("There is no training")
-        return cls.refuse("It is running: pause or cancel it first" if row.state == RUNNING else "")
+            return allowed(cls, "There is no training")
+        return allowed(cls, "It is running: pause or cancel it first" if row.state == RUNNING else "")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        row = self.row()
+        row = train_rows.selected()
         if row is not None:
             train_queue.remove(row)
         return {"FINISHED"}
 
 
-class CHONA_OT_use_trained(TrainingRow, bpy.types.Operator):
+class CHONA_OT_use_trained(bpy.types.Operator):
     """Use the model of the selected training, or of the result folder, for the selected actor; makes one if need be"""
 
     bl_idname = "chona.use_trained"
@@ -223,11 +203,11 @@ class CHONA_OT_use_trained(TrainingRow, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        nothing = cls.row() is None and not context.scene.chona.run_folder
-        return cls.refuse("Set the result folder of the training first" if nothing else "")
+        nothing = train_rows.selected() is None and not context.scene.chona.run_folder
+        return allowed(cls, "Set the result folder of the training first" if nothing else "")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        row, settings = self.row(), context.scene.chona
+        row, settings = train_rows.selected(), context.scene.chona
         model = train_queue.model_of(row) if row is not None else absolute(settings.run_folder) / MODEL
         if not model.is_file():
             failed = row is not None and row.state in {FAILED, CANCELLED}

@@ -6,8 +6,10 @@ import bpy
 
 from .. import jobs, train_data
 from ..errors import ChonaError
+from ..readiness import NO_CAPTURES
 from ..train_data import CheckDataJob
 from .image_editor import show_image
+from .poll import allowed, needs
 
 
 class CHONA_OT_check_data(jobs.JobOperator, bpy.types.Operator):
@@ -19,10 +21,7 @@ class CHONA_OT_check_data(jobs.JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        words = jobs.busy() or ("" if context.scene.chona.data_folder else "Choose the folder with the captures first")
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, jobs.busy() or ("" if context.scene.chona.data_folder else NO_CAPTURES))
 
     def start(self, context: bpy.types.Context) -> CheckDataJob:
         return train_data.start_check(context.scene)
@@ -49,10 +48,7 @@ class CHONA_OT_next_sheet(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if train_data.shown_sheet(context.scene) is None:
-            cls.poll_message_set("Press Check Data first")
-            return False
-        return True
+        return needs(cls, train_data.shown_sheet(context.scene), "Press Check Data first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         shown = train_data.shown_sheet(context.scene)
@@ -73,10 +69,7 @@ class CHONA_OT_open_sheet(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if train_data.shown_sheet(context.scene) is None:
-            cls.poll_message_set("Press Check Data first")
-            return False
-        return True
+        return needs(cls, train_data.shown_sheet(context.scene), "Press Check Data first")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         shown = train_data.shown_sheet(context.scene)

@@ -17,7 +17,6 @@ views with parts missing are skipped and counted in ``Dataset.gaps``: a person w
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
@@ -28,11 +27,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera, CameraError, is_rotation
+from chona_model.camera import Camera, CameraError, is_rotation, rigid
 from chona_model.data.behave_objects import read_object_shape
-from chona_model.data.body_model import LARGEST_FIT, BodyModel, find_body_model, read_body_model, reduced_pose
+from chona_model.data.body_model import BodyModel, body_model_folders, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
 from chona_model.data.lens import Lens
+from chona_model.data.reading import chosen_frames, counted, is_usable
 from chona_model.data.restricted_pickle import read_pickle
 from chona_model.plain_json import JsonError, parse, read_text
 from chona_model.skeleton import SMPL
@@ -101,14 +101,13 @@ def read_behave(root: Path, sequences: Sequence[str] | None = None, body_model_d
     gaps: Counter[str] = Counter()
     frames = [
         frame
-        for name, wanted in _chosen(root, sequences).items()
+        for name, wanted in chosen_frames(_present(root), sequences, "sequence", root / "sequences").items()
         for frame in _read_frames(_read_sequence(root / "sequences" / name), wanted, gaps)
     ]
     if not frames:
-        counts = ", ".join(f"{count} x {kind}" for kind, count in sorted(gaps.items())) or "no frames at all"
         raise DatasetError(
-            f"no frame of {root / 'sequences'} has both a person's and an object's fit (missing: {counts}); expected "
-            "t0003.000/person/fit02/person_fit.pkl and t0003.000/OBJECT/fit01/OBJECT_fit.pkl"
+            f"no frame of {root / 'sequences'} has both a person's and an object's fit (missing: {counted(gaps)}); "
+            "expected t0003.000/person/fit02/person_fit.pkl and t0003.000/OBJECT/fit01/OBJECT_fit.pkl"
         )
     models = _body_models(root, body_model_dir, {frame.sequence.gender for frame in frames})
     persons = _read_persons(frames, models)
@@ -142,21 +141,8 @@ def data_root(root: Path) -> Path:
     raise DatasetError(f"{root} has no folder 'sequences'; expected BEHAVE's layout (calibs, objects, sequences)")
 
 
-def _chosen(root: Path, sequences: Sequence[str] | None) -> dict[str, set[str] | None]:
-    """Wanted frames by sequence; None stands for all."""
-    present = sorted(path.name for path in (root / "sequences").iterdir() if path.is_dir())
-    if sequences is None:
-        return dict.fromkeys(present)
-    chosen: dict[str, set[str] | None] = {}
-    for entry in sequences:
-        name, _, frame = entry.partition("/")
-        if name not in present:
-            raise DatasetError(
-                f"there is no sequence '{name}' in {root / 'sequences'}; it has {', '.join(present) or 'none'}"
-            )
-        wanted = chosen.get(name, set())
-        chosen[name] = None if not frame or wanted is None else wanted | {frame}
-    return chosen
+def _present(root: Path) -> list[str]:
+    return sorted(path.name for path in (root / "sequences").iterdir() if path.is_dir())
 
 
 def _read_sequence(folder: Path) -> _Sequence:
@@ -174,7 +160,7 @@ def _read_sequence(folder: Path) -> _Sequence:
     return _Sequence(folder.name, folder, parts[1], parts[2], gender, tuple(kinects), info)
 
 
-def _read_frames(sequence: _Sequence, wanted: set[str] | None, gaps: Counter[str]) -> Iterable[_Frame]:
+def _read_frames(sequence: _Sequence, wanted: frozenset[str] | None, gaps: Counter[str]) -> Iterable[_Frame]:
     present = {path.name: path for path in sequence.folder.iterdir() if re.fullmatch(r"t\d+(\.\d+)?", path.name)}
     if wanted is not None:
         gaps.update(["frame"] * len(wanted - present.keys()))
@@ -187,9 +173,7 @@ def _read_frames(sequence: _Sequence, wanted: set[str] | None, gaps: Counter[str
         thing = _read_fit(folder, names, OBJECT_FIT, gaps)
         if body is None or thing is None:
             continue
-        world_from_object = np.eye(4)
-        world_from_object[:3, :3] = Rotation.from_rotvec(thing["angle"]).as_matrix()
-        world_from_object[:3, 3] = thing["trans"]
+        world_from_object = rigid(Rotation.from_rotvec(thing["angle"]).as_matrix(), thing["trans"])
         yield _Frame(sequence, folder, body["pose"], body["betas"], body["trans"], world_from_object)
 
 
@@ -205,10 +189,7 @@ def _read_fit(folder: Path, names: tuple[str, ...], fit: _Fit, gaps: Counter[str
             arrays = {key: np.asarray(content[key], dtype=np.float64).reshape(-1) for key in fit.keys}
         except (TypeError, ValueError) as error:
             raise DatasetError(f"{path}: {error}; expected arrays of numbers in {', '.join(fit.keys)}") from error
-        wrong = [key for key in ("angle", "trans") if key in arrays and arrays[key].size != 3]
-        if wrong:
-            raise DatasetError(f"{path}: {wrong[0]} has {arrays[wrong[0]].size} numbers, expected 3")
-        if all((np.abs(array) <= LARGEST_FIT).all() for array in arrays.values()):
+        if is_usable(arrays, ("angle", "trans"), path):
             return arrays
         gaps[f"{fit.kind} (not finite)"] += 1
         return None
@@ -217,12 +198,7 @@ def _read_fit(folder: Path, names: tuple[str, ...], fit: _Fit, gaps: Counter[str
 
 
 def _body_models(root: Path, explicit: Path | None, genders: set[str]) -> dict[str, BodyModel]:
-    variable = os.environ.get("CHONA_BODY_MODELS")
-    if explicit is not None:
-        folders = [explicit]
-    else:
-        folders = [Path(variable)] if variable else []
-        folders += [root.resolve().parent / "smplh", root / "smplh"]
+    folders = body_model_folders(explicit, [root.resolve().parent / "smplh", root / "smplh"])
     return {gender: read_body_model(find_body_model(folders, gender)).reduced() for gender in sorted(genders)}
 
 
@@ -255,17 +231,16 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int) -> tuple[Camera, 
     pose = _calibration_file(root, sequence, "config", f"{kinect}/config.json", f"calibs/{date}/config")
     try:
         color = _read_json(intrinsics, "the colour camera's intrinsics")["color"]
-        rigid = _read_json(pose, "the camera's rotation and translation")
+        stated = _read_json(pose, "the camera's rotation and translation")
         # BEHAVE puts the centre of the first pixel at 0, this package at 0.5.
         matrix = np.array(
             [[color["fx"], 0.0, color["cx"] + 0.5], [0.0, color["fy"], color["cy"] + 0.5], [0.0, 0.0, 1.0]]
         )
-        world_from_camera = np.eye(4)
-        world_from_camera[:3, :3] = np.array(rigid["rotation"], dtype=np.float64).reshape(3, 3)
-        world_from_camera[:3, 3] = rigid["translation"]
+        rotation = np.array(stated["rotation"], dtype=np.float64).reshape(3, 3)
+        world_from_camera = rigid(rotation, stated["translation"])
         lens = Lens.opencv(np.array(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
         width, height = int(color["width"]), int(color["height"])
-        if not is_rotation(world_from_camera[:3, :3]):
+        if not is_rotation(rotation):
             raise CameraError("the rotation is not one (to 0.001)")
         camera = Camera(matrix, UPRIGHT @ world_from_camera, width, height)
     except (KeyError, TypeError, ValueError, OverflowError, CameraError) as error:

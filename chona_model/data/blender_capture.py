@@ -12,6 +12,7 @@ import numpy as np
 from chona_model.camera import Camera, CameraError
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person, Pose, SkinnedSurface, View
 from chona_model.data.paths import check_name
+from chona_model.data.reading import chosen_frames, counted
 from chona_model.plain_arrays import ArraysError, read_arrays
 from chona_model.plain_json import JsonError, decode, read_text
 from chona_model.skeleton import Skeleton, SkeletonError
@@ -83,11 +84,12 @@ def read_blender_capture(root: Path, sequences: Sequence[str] | None = None) -> 
     gaps: Counter[str] = Counter()
     by_name = {sequence.name: sequence for sequence in capture.sequences}
     views: list[View] = []
-    for name, wanted in _chosen(by_name, sequences, root).items():
+    for name, wanted in chosen_frames(by_name, sequences, "sequence", root).items():
         views.extend(_read_sequence(root, by_name[name], wanted, (skeleton, persons, objects), gaps))
     if not views:
-        missing = ", ".join(f"{count} x {kind}" for kind, count in sorted(gaps.items())) or "no frames at all"
-        raise DatasetError(f"the capture {root} has no view with its image and masks ({missing}); capture it again")
+        raise DatasetError(
+            f"the capture {root} has no view with its image and masks ({counted(gaps)}); capture it again"
+        )
     used_persons = {view.pose.person for view in views}
     used_objects = {name for view in views for name in view.pose.objects}
     return Dataset(
@@ -157,24 +159,10 @@ def _read_surface(path: Path, bones: int) -> SkinnedSurface | None:
     return SkinnedSurface(vertices, weights / total, faces)
 
 
-def _chosen(present: Mapping[str, _Sequence], wanted: Sequence[str] | None, root: Path) -> dict[str, set[str] | None]:
-    """Wanted frames by sequence; None stands for all."""
-    if wanted is None:
-        return dict.fromkeys(present)
-    chosen: dict[str, set[str] | None] = {}
-    for entry in wanted:
-        name, _, frame = entry.partition("/")
-        if name not in present:
-            raise DatasetError(f"there is no sequence '{name}' in {root}; it has {', '.join(present) or 'none'}")
-        frames = chosen.get(name, set())
-        chosen[name] = None if not frame or frames is None else frames | {frame}
-    return chosen
-
-
 def _read_sequence(
     root: Path,
     sequence: _Sequence,
-    wanted: set[str] | None,
+    wanted: frozenset[str] | None,
     identities: tuple[Skeleton, Mapping[str, Person], Mapping[str, ObjectShape]],
     gaps: Counter[str],
 ) -> list[View]:

@@ -11,7 +11,8 @@ Pose-dependent corrective shapes (``posedirs``) are left out: they move vertices
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,6 @@ from chona_model.skeleton import SMPL, SMPL_NAMES, SMPL_PARENTS, Skeleton, canon
 
 FARTHEST = 1e3
 """Metres from the origin, or per unit of a beta, of a body's vertices."""
-
-LARGEST_FIT = 1e5
-"""Metres, radians or betas of a fit: beyond, it is no more use than a NaN."""
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -175,6 +173,14 @@ def read_body_model(path: Path) -> BodyModel:
         skeleton, vertices, faces, weights / weights.sum(1, keepdims=True), directions, regressor @ vertices,
         np.einsum("bv,vis->bis", regressor, directions),
     )  # fmt: skip
+
+
+def body_model_folders(explicit: Path | None, usual: Sequence[Path]) -> list[Path]:
+    """Where body models are looked for: the folder that the user names, else $CHONA_BODY_MODELS and the usual ones."""
+    if explicit is not None:
+        return [explicit]
+    variable = os.environ.get("CHONA_BODY_MODELS")
+    return [*([Path(variable)] if variable else []), *usual]
 
 
 def find_body_model(folders: list[Path], gender: str) -> Path:

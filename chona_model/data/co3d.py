@@ -21,12 +21,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from chona_model.camera import Camera, CameraError, is_rotation
+from chona_model.camera import Camera, CameraError, is_rotation, rigid
 from chona_model.data.behave_objects import read_ply_vertices
 from chona_model.data.dataset import Dataset, DatasetError, View
 from chona_model.data.packed_json import read_packed
 from chona_model.data.paths import check_name, named_file
 from chona_model.data.placing import LONGEST_SIDE, STRAYS, hull_points, place, static_pose
+from chona_model.data.reading import chosen_frames, counted
 from chona_model.skeleton import SMPL
 
 FRAMES, SEQUENCES = "frame_annotations.jgz", "sequence_annotations.jgz"
@@ -121,8 +122,7 @@ def read_co3d(root: Path, sequences: Sequence[str] | None = None, object_size: f
             found = [view for view in found if view.frame in chosen.frames]
         views.extend(replace(view, camera=placing.camera(view.camera)) for view in found)
     if not views:
-        counts = ", ".join(f"{count} x {kind}" for kind, count in sorted(gaps.items())) or "no frames at all"
-        raise DatasetError(f"{root} has no view with an image, a mask and a camera (missing: {counts})")
+        raise DatasetError(f"{root} has no view with an image, a mask and a camera (missing: {counted(gaps)})")
     seen = {view.pose.objects[0] for view in views}
     return Dataset(SMPL, {}, {name: objects[name] for name in objects if name in seen}, tuple(views), +gaps)
 
@@ -148,17 +148,16 @@ def _chosen(folders: Sequence[Path], wanted: Sequence[str] | None, root: Path, g
             check_name(f"{sequence.category}_{sequence.sequence_name}", folder / SEQUENCES)
             known[sequence.sequence_name] = (folder, sequence)
             by_category[sequence.category].append(sequence.sequence_name)
-    asked: dict[str, frozenset[str] | None] = {}
+    asked: list[str] = []
     for entry in wanted if wanted is not None else by_category:
-        name, _, frame = entry.partition("/")
+        name = entry.partition("/")[0]
         if name in by_category:
-            asked |= {each: None for each in by_category[name] if _good(known[each][1], gaps)}
+            asked.extend(each for each in by_category[name] if _good(known[each][1], gaps))
         elif name in known:
-            before = asked.get(name, frozenset())
-            asked[name] = None if not frame or before is None else before | {frame}
+            asked.append(entry)
         else:
             raise DatasetError(f"there is no sequence or category '{name}' in {root}; it has {_some(known)}")
-    return [_Chosen(*known[name], frames) for name, frames in asked.items()]
+    return [_Chosen(*known[name], frames) for name, frames in chosen_frames(known, asked, "sequence", root).items()]
 
 
 def _good(sequence: _Sequence, gaps: Counter[str]) -> bool:
@@ -229,14 +228,12 @@ def _camera(frame: _Frame, folder: Path) -> Camera:
     focal = np.array(viewpoint.focal_length) * half
     centre = 0.5 * np.array([width, height]) - np.array(viewpoint.principal_point) * half
     camera_from_world = OPENCV_FROM_PYTORCH3D @ np.array(viewpoint.R).T
-    world_from_camera = np.eye(4)
-    world_from_camera[:3, :3] = camera_from_world.T
-    world_from_camera[:3, 3] = -camera_from_world.T @ OPENCV_FROM_PYTORCH3D @ np.array(viewpoint.T)
+    origin = -camera_from_world.T @ OPENCV_FROM_PYTORCH3D @ np.array(viewpoint.T)
     try:
         if not is_rotation(camera_from_world):
             raise CameraError("R is not a rotation (to 0.001)")
         intrinsics = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
-        return Camera(intrinsics, world_from_camera, width, height)
+        return Camera(intrinsics, rigid(camera_from_world.T, origin), width, height)
     except CameraError as error:
         raise DatasetError(
             f"{folder / FRAMES}: the camera of frame {frame.frame_number} of {frame.sequence_name}: {error}"

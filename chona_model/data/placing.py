@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from chona_model.camera import Camera
+from chona_model.camera import Camera, rigid
 from chona_model.data.dataset import DatasetError, ObjectShape, Pose, View, load_pixels
 
 LONGEST_SIDE = 0.5
@@ -47,10 +47,9 @@ class Placing:
 
     def camera(self, scanned: Camera) -> Camera:
         """The same view in our world."""
-        world_from_camera = np.eye(4)
-        world_from_camera[:3, :3] = self.upright @ scanned.world_from_camera[:3, :3]
-        world_from_camera[:3, 3] = self.scale * (self.upright @ (scanned.world_from_camera[:3, 3] - self.centre))
-        return replace(scanned, world_from_camera=world_from_camera)
+        turned = self.upright @ scanned.world_from_camera[:3, :3]
+        origin = self.scale * (self.upright @ (scanned.world_from_camera[:3, 3] - self.centre))
+        return replace(scanned, world_from_camera=rigid(turned, origin))
 
     def shape(self, name: str) -> ObjectShape:
         """The object with its box, its frame at the world's origin."""

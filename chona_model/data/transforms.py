@@ -27,6 +27,7 @@ from chona_model.data.dataset import Dataset, DatasetError, MaskRule, View, open
 from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
 from chona_model.data.placing import LONGEST_SIDE, Placing, hull_points, place, static_pose
+from chona_model.data.reading import chosen_frames, counted
 from chona_model.plain_json import JsonError, decode, read_text
 from chona_model.skeleton import SMPL
 
@@ -94,7 +95,7 @@ def read_transforms(root: Path, sequences: Sequence[str] | None = None, object_s
         DatasetError: no such scan, a fisheye or panoramic camera, pictures without masks, or nothing usable.
     """
     files = _files(root)
-    wanted = _chosen(files, sequences, root)
+    wanted = chosen_frames(sorted({file.sequence for file in files}), sequences, "scan", root)
     gaps: Counter[str] = Counter()
     views: list[View] = []
     placings: dict[str, Placing] = {}
@@ -111,9 +112,8 @@ def read_transforms(root: Path, sequences: Sequence[str] | None = None, object_s
             if view.sequence in wanted and (wanted[view.sequence] is None or view.frame in wanted[view.sequence])  # type: ignore[operator]
         )
     if not views:
-        counts = ", ".join(f"{count} x {kind}" for kind, count in sorted(gaps.items())) or "no frames at all"
         raise DatasetError(
-            f"{root} has no view with an image and a mask (missing: {counts}); check the paths in its files"
+            f"{root} has no view with an image and a mask (missing: {counted(gaps)}); check the paths in its files"
         )
     objects = {name: placing.shape(name) for name, placing in placings.items()}
     return Dataset(SMPL, {}, objects, tuple(views), gaps)
@@ -136,19 +136,6 @@ def _sequence_name(path: Path) -> str:
     part = path.stem.removeprefix("transforms").strip("_")
     name = path.resolve().parent.name
     return f"{name}_{part}" if part else name
-
-
-def _chosen(files: Sequence[_File], sequences: Sequence[str] | None, root: Path) -> dict[str, set[str] | None]:
-    """Wanted frames by sequence; None stands for all."""
-    known = {file.sequence for file in files}
-    chosen: dict[str, set[str] | None] = {}
-    for entry in sequences if sequences is not None else sorted(known):
-        name, _, frame = entry.partition("/")
-        if name not in known:
-            raise DatasetError(f"there is no scan '{name}' in {root}; it has {', '.join(sorted(known))}")
-        before = chosen.get(name, set())
-        chosen[name] = None if not frame or before is None else before | {frame}
-    return chosen
 
 
 def _views(file: _File, gaps: Counter[str]) -> list[View]:

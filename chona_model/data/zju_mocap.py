@@ -14,7 +14,6 @@ integers, so half a pixel is added to the principal point; images are undistorte
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -25,11 +24,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera, CameraError, is_rotation
-from chona_model.data.body_model import LARGEST_FIT, BodyModel, find_body_model, read_body_model, reduced_pose
+from chona_model.camera import Camera, CameraError, is_rotation, rigid
+from chona_model.data.body_model import BodyModel, body_model_folders, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View, opened_image
 from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
+from chona_model.data.reading import chosen_frames, counted, is_usable
 from chona_model.data.restricted_pickle import MODEL_BYTES, read_object_npy
 from chona_model.plain_json import shortened
 from chona_model.skeleton import SMPL
@@ -75,7 +75,9 @@ def read_zju_mocap(
     """
     gaps: Counter[str] = Counter()
     subjects = _chosen(root, sequences)
-    model = read_body_model(find_body_model(_model_folders(root, body_model_dir), GENDER)).reduced()
+    above = (root.resolve(), root.resolve().parent, root.resolve().parent.parent)
+    folders = body_model_folders(body_model_dir, [folder / name for folder in above for name in ("smplh", "smpl")])
+    model = read_body_model(find_body_model(folders, GENDER)).reduced()
     persons: dict[str, Person] = {}
     views: list[View] = []
     for folder, wanted in subjects.items():
@@ -101,10 +103,9 @@ def read_zju_mocap(
             persons[folder.name] = Person(folder.name, model.rest_joints(shape), surface)
             views.extend(found)
     if not views:
-        counts = ", ".join(f"{count} x {kind}" for kind, count in sorted(gaps.items())) or "no frames at all"
         raise DatasetError(
-            f"{root} has no view with an image, a mask and a fit (missing: {counts}); expected Camera_B1/000000.jpg, "
-            "mask_cihp/Camera_B1/000000.png and new_params/0.npy"
+            f"{root} has no view with an image, a mask and a fit (missing: {counted(gaps)}); expected "
+            "Camera_B1/000000.jpg, mask_cihp/Camera_B1/000000.png and new_params/0.npy"
         )
     return Dataset(SMPL, persons, {}, tuple(views), gaps)
 
@@ -120,30 +121,12 @@ def subject_folders(root: Path) -> list[Path]:
     return []
 
 
-def _chosen(root: Path, sequences: Sequence[str] | None) -> dict[Path, set[str] | None]:
+def _chosen(root: Path, sequences: Sequence[str] | None) -> dict[Path, frozenset[str] | None]:
     """Wanted frames by subject; None stands for all."""
     present = {folder.resolve().name: folder.resolve() for folder in subject_folders(root)}
     if not present:
         raise DatasetError(f"{root} has no subject of ZJU-MoCap; expected SUBJECT/annots.npy, such as CoreView_386")
-    if sequences is None:
-        return dict.fromkeys(present.values())
-    chosen: dict[Path, set[str] | None] = {}
-    for entry in sequences:
-        name, _, frame = entry.partition("/")
-        if name not in present:
-            raise DatasetError(f"there is no subject '{name}' in {root}; it has {', '.join(present)}")
-        frames = chosen.get(present[name], set())
-        chosen[present[name]] = None if not frame or frames is None else frames | {frame}
-    return chosen
-
-
-def _model_folders(root: Path, explicit: Path | None) -> list[Path]:
-    if explicit is not None:
-        return [explicit]
-    variable = os.environ.get("CHONA_BODY_MODELS")
-    above = [root.resolve(), root.resolve().parent, root.resolve().parent.parent]
-    stated = [Path(variable)] if variable else []
-    return stated + [folder / name for folder in above for name in ("smplh", "smpl")]
+    return {present[name]: frames for name, frames in chosen_frames(present, sequences, "subject", root).items()}
 
 
 def _read_subject(folder: Path) -> _Subject:
@@ -184,10 +167,7 @@ def _camera(path: Path, cams: dict[str, Any], index: int, size: tuple[int, int])
         if not is_rotation(rotation):
             raise ValueError("R is not a rotation (to 0.001)")
         intrinsics[:2, 2] += 0.5  # ZJU-MoCap puts the centre of the first pixel at 0, this package at 0.5
-        world_from_camera = np.eye(4)
-        world_from_camera[:3, :3] = rotation.T
-        world_from_camera[:3, 3] = -rotation.T @ translation
-        return Camera(intrinsics, world_from_camera, size[1], size[0]), lens
+        return Camera(intrinsics, rigid(rotation.T, -rotation.T @ translation), size[1], size[0]), lens
     except (IndexError, KeyError, TypeError, ValueError, OverflowError, CameraError) as error:
         raise DatasetError(
             f"{path}: camera {index} is not ZJU-MoCap's: {error}; expected K and R [3, 3], T [3] millimetres, D [5]"
@@ -223,24 +203,19 @@ def _read_fit(path: Path, gaps: Counter[str]) -> dict[str, np.ndarray] | None:
         gaps["person fit"] += 1
         return None
     content = read_object_npy(path)
-    sizes = {"poses": None, "shapes": None, "Rh": 3, "Th": 3}
+    keys = ("poses", "shapes", "Rh", "Th")
     try:
-        arrays = {key: np.asarray(content[key], dtype=np.float64).reshape(-1) for key in sizes}
+        arrays = {key: np.asarray(content[key], dtype=np.float64).reshape(-1) for key in keys}
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path}: {error}; expected arrays poses, shapes, Rh and Th") from error
-    wrong = next((key for key, size in sizes.items() if size is not None and arrays[key].size != size), None)
-    if wrong is not None:
-        raise DatasetError(f"{path}: {wrong} has {arrays[wrong].size} numbers, expected 3")
-    if not all((np.abs(array) <= LARGEST_FIT).all() for array in arrays.values()):
+    if not is_usable(arrays, ("Rh", "Th"), path):
         gaps["person fit (not finite)"] += 1
         return None
     return arrays
 
 
 def _world_from_bone(model: BodyModel, fit: dict[str, np.ndarray]) -> np.ndarray:
-    world_from_fit = np.eye(4)
-    world_from_fit[:3, :3] = Rotation.from_rotvec(fit["Rh"]).as_matrix()
-    world_from_fit[:3, 3] = fit["Th"]
+    world_from_fit = rigid(Rotation.from_rotvec(fit["Rh"]).as_matrix(), fit["Th"])
     return world_from_fit @ model.world_from_bone(reduced_pose(fit["poses"]), fit["shapes"], np.zeros(3))
 
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 from chona_model.data.dataset import Dataset, DatasetError, load_pixels
 from chona_model.evaluate.metrics import mean_of_known, score
-from chona_model.formats.atomic import atomic_path, write_bytes
+from chona_model.formats.atomic import write_bytes
 from chona_model.formats.model_file import file_hash, read_header
+from chona_model.formats.picture import save_picture
 from chona_model.methods import method_of
 from chona_model.model_store import load_actor
 from chona_model.presets import find_preset
@@ -74,8 +74,8 @@ def evaluate(
             }
         )
         if save_images is not None:
-            _save(save_images / f"{view.label}_PREDICTION.png", prediction)
-            _save(save_images / f"{view.label}_TARGET.png", pixels.rgb)
+            save_picture(save_images / f"{view.label}_PREDICTION.png", prediction)
+            save_picture(save_images / f"{view.label}_TARGET.png", pixels.rgb)
         progress.update(number, view.label, psnr=images[-1]["psnr"])
     mean = {name: mean_of_known([image[name] for image in images]) for name in METRICS}
     report: dict[str, Any] = {
@@ -100,11 +100,6 @@ def check_identities(dataset: Dataset, persons: Collection[str], objects: Collec
                 f"the model has no {kind} '{unknown[0]}'; it knows {', '.join(known) or 'none'}: choose sequences with "
                 "these, or train with that one"
             )
-
-
-def _save(path: Path, image: np.ndarray) -> None:
-    with atomic_path(path) as temporary:
-        Image.fromarray(np.round(image * 255).astype(np.uint8)).save(temporary)
 
 
 def machine() -> dict[str, Any]:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from chona_model.data.dataset import Dataset, View
 from chona_model.evaluate.run import evaluate
-from chona_model.formats.atomic import atomic_path, write_bytes
+from chona_model.formats.atomic import write_bytes
 from chona_model.formats.folder_lock import lock_folder
+from chona_model.formats.picture import save_picture
 from chona_model.model_store import load_actor
 from chona_model.presets import find_preset
 from chona_model.progress import Progress
@@ -134,8 +134,7 @@ def _exchange(cell: Cell, data: CellData, model: Path, folder: Path, protocol: P
                 camera = view.camera.scaled(protocol.image_scale)
                 picture = actor.render(changed.pose, camera, find_preset(protocol.quality))
                 path = folder / "images" / name.replace(" ", "-") / f"{view.label}_{label}.png"
-                with atomic_path(path) as temporary:
-                    Image.fromarray(np.round(np.clip(picture.rgb, 0.0, 1.0) * 255).astype(np.uint8)).save(temporary)
+                save_picture(path, picture.rgb)
 
 
 def _changed(view: View, scene: Dataset, persons: list[str], objects: list[str]) -> list[tuple[str, View]]:

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from chona_model.actor import Actor
 from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
-from chona_model.formats.atomic import atomic_path
+from chona_model.formats.picture import save_picture
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.errors import decibels
 
@@ -69,9 +68,7 @@ class Preview:
         with torch.no_grad():
             picture = actor.render(self._pose, self._camera, RENDER_PRESETS["preview"], self._inside)
         shown = np.clip(picture.rgb[self._part], 0.0, 1.0)
-        with atomic_path(self.path) as temporary:
-            both = np.concatenate([self._truth, shown], axis=1)
-            Image.fromarray(np.round(both * 255.0).astype(np.uint8)).save(temporary)
+        save_picture(self.path, np.concatenate([self._truth, shown], axis=1))
         ended = self._clock()
         self._next = ended + max(self.every, (ended - began) * (1.0 / LARGEST_SHARE - 1.0))
         return decibels(float(((shown - self._truth) ** 2).mean()))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -33,11 +32,8 @@ SECONDS = 1500
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, blender_launcher: list[str]) -> Path:
     """Where pictures and frames are, after the job."""
-    launcher = shlex.split(os.environ.get("CHONA_BLENDER", ""))
-    if not launcher or shutil.which(launcher[0]) is None:
-        pytest.skip("$CHONA_BLENDER names no Blender")
     target = Path(os.environ.get("CHONA_PICTURES") or tmp_path_factory.mktemp("window"))
     target.mkdir(parents=True, exist_ok=True)
     for name in ("resources", "frames"):
@@ -45,7 +41,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build = [sys.executable, ROOT / "scripts" / "build_extension.py", "--out", target]
     subprocess.run(build, check=True, capture_output=True)
     command = [
-        *launcher, "--window-geometry", "0", "0", "1500", "1060", "--python", SCRIPTS / "animators_window.py", "--",
+        *blender_launcher, "--window-geometry", "0", "0", "1500", "1060",
+        "--python", SCRIPTS / "animators_window.py", "--",
         next(target.glob("chona-*.zip")), model(target), sys.executable, target, str(WIDTH),
     ]  # fmt: skip
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(target / "resources")}

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
-import shutil
 import subprocess
 import sys
 import time
@@ -24,11 +22,8 @@ ON = {"handlers": 5, "timers": 1, "workers": 1, "drawing": 1}
 
 
 @pytest.fixture(scope="module")
-def answer(tmp_path_factory: pytest.TempPathFactory) -> dict:
+def answer(tmp_path_factory: pytest.TempPathFactory, blender_launcher: list[str]) -> dict:
     """What was seen, and how Blender ended."""
-    launcher = shlex.split(os.environ.get("CHONA_BLENDER", ""))
-    if not launcher or shutil.which(launcher[0]) is None:
-        pytest.skip("$CHONA_BLENDER names no Blender")
     pytest.importorskip("torch")
     sys.path.insert(0, str(ROOT / "tests" / "model"))
     from tiny_models import trained
@@ -39,7 +34,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> dict:
     out = Path(os.environ.get("CHONA_PICTURES") or tmp_path_factory.mktemp("live_window"))
     out.mkdir(parents=True, exist_ok=True)
     save_actor(out / "model.safetensors", GridActor(trained()[1].model), "chona", {"preset": "fast"}, {"steps": 1})
-    command = [*launcher, "--python-use-system-env", "--window-geometry", "0", "0", "1280", "860"]
+    command = [*blender_launcher, "--python-use-system-env", "--window-geometry", "0", "0", "1280", "860"]
     command += ["--python", SCRIPTS / "live_window.py", "--", out / "model.safetensors", sys.executable, out]
     environment = os.environ | {
         "BLENDER_USER_RESOURCES": str(out / "resources"), "PYTHONPATH": os.pathsep.join([str(ROOT), str(SCRIPTS)])

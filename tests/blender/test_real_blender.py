@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -18,14 +17,6 @@ import pytest
 from operation_helpers import ROOT, write_header_only_model
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture
-def launcher() -> list[str]:
-    command = shlex.split(os.environ.get("CHONA_BLENDER", ""))
-    if not command or shutil.which(command[0]) is None:
-        pytest.skip("$CHONA_BLENDER names no Blender")
-    return command
 
 
 @pytest.fixture
@@ -41,13 +32,13 @@ def folder(tmp_path: Path) -> Path:
     return target
 
 
-def test_sidebar_with_a_window(launcher: list[str], folder: Path) -> None:
+def test_sidebar_with_a_window(blender_launcher: list[str], folder: Path) -> None:
     """From an empty home: install, rig, a worker without torch, progress, cancel; with pictures of each step."""
     package = next(folder.glob("chona-*.zip"))
     script = ROOT / "tests" / "blender" / "real_blender_gui.py"
     size = ["--window-geometry", "0", "0", "1280", "860"]
     command = [
-        *launcher,
+        *blender_launcher,
         *size,
         "--python",
         script,
@@ -70,10 +61,10 @@ def test_sidebar_with_a_window(launcher: list[str], folder: Path) -> None:
     assert answer["capture"] == ["RUNNING_MODAL"]
     assert answer["captured"][0] == "DONE", answer["captured"][1]
     assert (folder / "capture" / "capture.json").is_file() and answer["data folder"] == str(folder / "capture")
-    if "--gui" not in launcher:
+    if "--gui" not in blender_launcher:
         return
     # The same home without a window: the command is known, and its exit code is what a farm sees.
-    plain = launcher[: launcher.index("--gui")]
+    plain = blender_launcher[: blender_launcher.index("--gui")]
     command = [*plain, "--background", "--command", "chona", "bake", "--model", folder / "none.safetensors"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == 2, done.stdout + done.stderr

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,17 +28,14 @@ def program(path: Path, words: list[str]) -> str:
     return str(path)
 
 
-def test_a_job_from_the_blend_file_to_the_composite(tmp_path: Path) -> None:
+def test_a_job_from_the_blend_file_to_the_composite(tmp_path: Path, blender_launcher: list[str]) -> None:
     """Where the ball covers a pixel, the rendered composite has the baked frame's colour."""
     pytest.importorskip("dukpy", reason="the engine in which the job type runs; pip install dukpy")
     from flamenco_worker import Manager, find_ffmpeg, in_order, run_task
 
-    launcher = shlex.split(os.environ.get("CHONA_BLENDER", ""))
-    if not launcher or shutil.which(launcher[0]) is None:
-        pytest.skip("$CHONA_BLENDER names no Blender")
     model, _ = write_scene(tmp_path, 1)
     scene, out = tmp_path / "scene 1.blend", tmp_path / "frames"
-    blender = program(tmp_path / "blender", launcher)
+    blender = program(tmp_path / "blender", blender_launcher)
     resources = {"BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
 
     def run(*words: object) -> None:

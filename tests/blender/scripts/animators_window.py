@@ -14,7 +14,7 @@ import bpy
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).resolve().parents[3])]
 from animators_stage import build_armature, build_stage, key_handling  # noqa: E402
 from rig_bodies import M  # noqa: E402
-from window import ADDON, Drive, call, region_of, show_sidebar, until, view_area, window  # noqa: E402
+from window import ADDON, Drive, call, module, region_of, show_sidebar, until, view_area, window  # noqa: E402
 
 package, model, python, out = (Path(part) for part in sys.argv[sys.argv.index("--") + 1 :][:4])
 width = int(sys.argv[sys.argv.index("--") + 5])
@@ -23,11 +23,6 @@ PATIENCE = 600.0
 """Seconds for one step: the first worker compiles its kernels."""
 drive = Drive(out, {"version": list(bpy.app.version)})
 answer = drive.answer
-
-
-def module(name: str) -> object:
-    """One of the add-on's modules."""
-    return sys.modules[f"{ADDON}.{name}"]
 
 
 def settings() -> bpy.types.PropertyGroup:

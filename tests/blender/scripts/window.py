@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,18 @@ class Drive:
     def _leave(self, code: int) -> None:
         self.save()
         os._exit(code)
+
+
+def module(name: str) -> Any:
+    """One of the installed add-on's modules."""
+    return sys.modules[f"{ADDON}.{name}"]
+
+
+def show_only(panels: Any, names: Collection[str]) -> None:
+    """Take the sidebar's other panels away, to have room for some; ``panels`` is the add-on's module."""
+    for cls in reversed(panels.CLASSES):  # those that stand inside others first
+        if issubclass(cls, bpy.types.Panel) and cls.__name__ not in names:
+            bpy.utils.unregister_class(cls)
 
 
 def window() -> bpy.types.Window:
