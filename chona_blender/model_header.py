@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -64,10 +65,7 @@ class ModelHeader:
         Raises:
             ChonaError: the model has no such person.
         """
-        if person not in self.persons:
-            raise ChonaError(
-                f"Model '{self.path.name}' has no person '{person}'. It has: {_listed(self.persons)}. Choose one"
-            )
+        self._check("person", person, self.persons)
         return self.persons[person]
 
     def extents(self, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -76,11 +74,12 @@ class ModelHeader:
         Raises:
             ChonaError: the model has no such object.
         """
-        if name not in self.objects:
-            raise ChonaError(
-                f"Model '{self.path.name}' has no object '{name}'. It has: {_listed(self.objects)}. Choose one"
-            )
+        self._check("object", name, self.objects)
         return self.objects[name]
+
+    def _check(self, kind: str, name: str, known: Collection[str]) -> None:
+        if name not in known:
+            raise ChonaError(f"Model '{self.path.name}' has no {kind} '{name}'. It has: {_listed(known)}. Choose one")
 
     def canonical_object(self, person: str | None) -> np.ndarray:
         """Canonical position [3] of every object's frame, metres; without a person that of the first person."""

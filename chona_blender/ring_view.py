@@ -13,6 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from .areas import redraw_areas
 from .capture_ring import Ring, Space, cut_off, ring_poses, ring_radius
 from .errors import ChonaError
 from .rig.sampling import sample
@@ -188,10 +189,7 @@ def _draw() -> None:
 
 def redraw() -> None:
     """Have 3D views and their sidebars drawn again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw_areas("VIEW_3D")
 
 
 @bpy.app.handlers.persistent

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from . import check_store
+from .areas import redraw_areas
 from .rig.check import Report, Strip
 
 GREEN, YELLOW, RED = (0.16, 0.62, 0.28), (0.93, 0.78, 0.15), (0.86, 0.16, 0.13)
@@ -67,10 +68,7 @@ def _draw() -> None:
 
 def redraw() -> None:
     """Have timelines and dope sheets drawn again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "DOPESHEET_EDITOR":
-                area.tag_redraw()
+    redraw_areas("DOPESHEET_EDITOR")
 
 
 def register() -> None:

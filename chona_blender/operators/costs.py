@@ -9,7 +9,7 @@ from ..errors import ChonaError
 from ..measuring import EstimateJob
 from ..readiness import NO_CAPTURES, NO_MODEL
 from .bake import why_no_bake
-from .image_editor import show_image
+from .image_editor import load_anew, show_image
 from .poll import allowed, needs
 
 
@@ -78,11 +78,9 @@ class CHONA_OT_show_trade(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            picture = measuring.trade_picture(context.scene)
-            image = bpy.data.images.load(str(picture), check_existing=True)
+            image = load_anew(measuring.trade_picture(context.scene))
         except (ChonaError, RuntimeError) as error:
             return jobs.fail(self, ChonaError(str(error)))
-        image.reload()  # measured again since it was shown last
         show_image(context, image)
         return {"FINISHED"}
 

@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
+
+
+def load_anew(path: str | Path) -> bpy.types.Image:
+    """The image of a file as the file is now, also where it was loaded before.
+
+    Raises:
+        RuntimeError: Blender cannot read it.
+    """
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.reload()
+    return image
 
 
 def show_image(context: bpy.types.Context, image: bpy.types.Image, new_window: bool = True) -> bpy.types.Area | None:

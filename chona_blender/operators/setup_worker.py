@@ -7,6 +7,7 @@ import textwrap
 import bpy
 
 from .. import diagnosis, jobs, live_kept, preferences, worker_home, worker_setup
+from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..i18n import report_text
 from .poll import allowed, needs
@@ -76,10 +77,7 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """The preferences show the progress too."""
-        for window in context.window_manager.windows:
-            for area in window.screen.areas:
-                if area.type == "PREFERENCES":
-                    area.tag_redraw()
+        redraw_areas("PREFERENCES")
         return super().modal(context, event)
 
     def start(self, _context: bpy.types.Context) -> jobs.Job:

@@ -8,7 +8,7 @@ from .. import jobs, train_data
 from ..errors import ChonaError
 from ..readiness import NO_CAPTURES
 from ..train_data import CheckDataJob
-from .image_editor import show_image
+from .image_editor import load_anew, show_image
 from .poll import allowed, needs
 
 
@@ -75,10 +75,9 @@ class CHONA_OT_open_sheet(bpy.types.Operator):
         shown = train_data.shown_sheet(context.scene)
         path = shown[1].sheet if shown is not None else None
         try:
-            image = bpy.data.images.load(str(path), check_existing=True)
+            image = load_anew(str(path))
         except RuntimeError:
             return jobs.fail(self, ChonaError(f"the picture {path} cannot be read any more; press Check Data again"))
-        image.reload()  # drawn again since it was shown last
         show_image(context, image)
         return {"FINISHED"}
 

@@ -1,16 +1,14 @@
 """Reads pickles that only exist as pickles (body fits, SMPL files) without running anything they name.
 
 Nothing that a pickle names is ever imported.  The few classes that such files contain (numpy arrays, dtypes and
-scalars, scipy's compressed sparse matrices, chumpy's array wrappers) are stood in for by inert records of this module;
-the records become numpy arrays after the file has been read whole and their contents checked.  So not even numpy's own
-``__setstate__``, which trusts shapes and type flags, sees data from the file.
+scalars, scipy's compressed sparse matrices, chumpy's array wrappers) are stood in for by inert records
+(``pickled_records.py``), which become numpy arrays after the file has been read whole and their contents checked.  So
+not even numpy's own ``__setstate__``, which trusts shapes and type flags, sees data from the file.
 """
 
 from __future__ import annotations
 
-import math
 import pickle
-import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
@@ -18,82 +16,45 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from chona_model.data.dataset import DatasetError
+from chona_model.data.pickled_records import (
+    PickledArray,
+    PickledBuffer,
+    PickledChumpy,
+    PickledScalar,
+    PickledSparse,
+    PickledType,
+    Record,
+    Refused,
+    to_arrays,
+)
 from chona_model.plain_json import shortened
 
 FIT_BYTES = 1 << 20
 """Limit for one frame's fitted parameters (real ones have 2 to 30 kB)."""
 MODEL_BYTES = 1 << 30
 """Limit for a body model (SMPL-H with 300 shape directions has about 300 MB)."""
-SPARSE_BYTES = 1 << 28
-"""Limit for a sparse matrix made dense (SMPL's joint regressor has 1.3 MB)."""
 MOST_STEPS = 2_000_000
 """Of a pickle: ZJU-MoCap's longest list of images takes a tenth."""
-
-_SIMPLE_KINDS = "?bhilqBHILQefdgFDSUac"
-"""numpy type letters without Python objects, structures or dates."""
-_TYPE = re.compile(r"[A-Za-z?]\d{0,9}")
-_MOST_DIMENSIONS = 32
-
-
-class _Refused(pickle.UnpicklingError):
-    """A pickle names something that is not admitted."""
-
-
-class _Record:
-    """Stands in for an instance of a class that is not imported; keeps what the file says about it."""
-
-    label = "object"
-
-    def __init__(self, *arguments: Any) -> None:
-        self.arguments = arguments
-        self.state: Any = None
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state
-
-
-class _Array(_Record):
-    label = "numpy.ndarray"
-
-
-class _Type(_Record):
-    label = "numpy.dtype"
-
-
-class _Scalar(_Record):
-    label = "numpy scalar"
-
-
-class _Buffer(_Record):
-    label = "numpy._frombuffer"
-
-
-class _Sparse(_Record):
-    label = "scipy.sparse matrix"
-
-
-class _Chumpy(_Record):
-    label = "chumpy array"
 
 
 def _encode(text: object, encoding: object = "latin1") -> bytes:
     """``_codecs.encode`` as Python 2 pickles use it for bytes, for text and latin1 alone."""
     if not isinstance(text, str) or encoding != "latin1":
-        raise _Refused(f"_codecs.encode with the encoding {encoding!r}")
+        raise Refused(f"_codecs.encode with the encoding {encoding!r}")
     return text.encode("latin1")
 
 
 def _no_bytes(*arguments: object) -> bytes:
     """``bytes()`` as old protocols write empty bytes; never a length, which could ask for any amount of memory."""
     if arguments:
-        raise _Refused("bytes made from other objects")
+        raise Refused("bytes made from other objects")
     return b""
 
 
-def _reconstructor(cls: object, _base: object, _state: object) -> _Record:
+def _reconstructor(cls: object, _base: object, _state: object) -> Record:
     """``copy_reg._reconstructor`` of old protocols, for this module's records alone."""
-    if not (isinstance(cls, type) and issubclass(cls, _Record)):
-        raise _Refused(f"copy_reg._reconstructor of {cls!r}")
+    if not (isinstance(cls, type) and issubclass(cls, Record)):
+        raise Refused(f"copy_reg._reconstructor of {cls!r}")
     return cls()
 
 
@@ -101,7 +62,7 @@ def _checked_keys(keys: Iterable[Any]) -> None:
     """Refuses keys whose hash could take for ever: a tuple of tuples of tuples is hashed to its last leaf."""
     for key in keys:
         if not isinstance(key, str | int | float | bytes):
-            raise _Refused(f"a key of type {type(key).__name__}")
+            raise Refused(f"a key of type {type(key).__name__}")
 
 
 def _ordered(items: Any = ()) -> dict[Any, Any]:
@@ -133,13 +94,13 @@ _ADMITTED: dict[str, Any] = {
         f"numpy.{core}.{name}": kind
         for core in ("core", "_core")
         for name, kind in (
-            ("multiarray._reconstruct", _Array),
-            ("multiarray.scalar", _Scalar),
-            ("numeric._frombuffer", _Buffer),
+            ("multiarray._reconstruct", PickledArray),
+            ("multiarray.scalar", PickledScalar),
+            ("numeric._frombuffer", PickledBuffer),
         )
     },
     "numpy.ndarray": _NumpyClass,
-    "numpy.dtype": _Type,
+    "numpy.dtype": PickledType,
     "copy_reg._reconstructor": _reconstructor,
     "copyreg._reconstructor": _reconstructor,
 }
@@ -157,7 +118,7 @@ class _File:
     def read(self, count: int) -> bytes:
         self._steps += 1
         if self._steps > MOST_STEPS:
-            raise _Refused(f"more than {MOST_STEPS} steps")
+            raise Refused(f"more than {MOST_STEPS} steps")
         return self._file.read(min(count, self._end - self._file.tell()))
 
     def readline(self) -> bytes:
@@ -201,8 +162,8 @@ class _Unpickler(_PYTHONS):
         self.append(bytearray(content))
 
     def _build(self) -> None:
-        if not isinstance(self.stack[-2], _Record):
-            raise _Refused(f"a state for a {type(self.stack[-2]).__name__}")
+        if not isinstance(self.stack[-2], Record):
+            raise Refused(f"a state for a {type(self.stack[-2]).__name__}")
         _PYTHONS.load_build(self)
 
     dispatch[pickle.SETITEM[0]], dispatch[pickle.SETITEMS[0]] = _set_item, _set_items
@@ -215,13 +176,13 @@ class _Unpickler(_PYTHONS):
         if admitted is not None:
             return admitted
         if module.startswith("scipy.sparse") and name in ("csc_matrix", "csr_matrix", "csc_array", "csr_array"):
-            return type(name, (_Sparse,), {"label": f"{module}.{name}"})
+            return type(name, (PickledSparse,), {"label": f"{module}.{name}"})
         if module == "chumpy" or module.startswith("chumpy."):
-            return type(name, (_Chumpy,), {"label": f"{module}.{name}"})
-        raise _Refused(f"{module}.{name}")
+            return type(name, (PickledChumpy,), {"label": f"{module}.{name}"})
+        raise Refused(f"{module}.{name}")
 
     def persistent_load(self, pid: Any) -> Any:  # noqa: ARG002 - the name is the base class's
-        raise _Refused("a persistent id")
+        raise Refused("a persistent id")
 
 
 def read_pickle(path: Path, max_bytes: int = FIT_BYTES) -> Any:
@@ -251,9 +212,9 @@ def _unpacked_npy(file: BinaryIO) -> Any:
             f"an array of shape {shape} and type {dtype}, expected one Python object (numpy.save of a dict)"
         )
     holder = _Unpickler(_File(file), encoding="latin1").load()
-    items = holder.state[4] if isinstance(holder, _Array) and isinstance(holder.state, tuple) else None
+    items = holder.state[4] if isinstance(holder, PickledArray) and isinstance(holder.state, tuple) else None
     if not isinstance(items, list) or len(items) != 1:
-        raise _Refused("something else than one object in an array without dimensions")
+        raise Refused("something else than one object in an array without dimensions")
     return items[0]
 
 
@@ -267,8 +228,8 @@ def _read(path: Path, max_bytes: int, load: Callable[[BinaryIO], Any]) -> Any:
             )
         with path.open("rb") as file:
             content = load(file)
-        return _plain(content, {})
-    except _Refused as error:
+        return to_arrays(content)
+    except Refused as error:
         raise DatasetError(
             f"{path} holds {shortened(error)}, which is refused: only numpy arrays and plain containers are read from "
             "pickles; re-save the file with those alone (for a body model as .npz)"
@@ -282,111 +243,3 @@ def _read(path: Path, max_bytes: int, load: Callable[[BinaryIO], Any]) -> Any:
             f"cannot read {path}: {type(error).__name__}: {shortened(error)}; expected a complete pickle of numpy "
             "arrays, copy the file again"
         ) from error
-
-
-def _plain(item: Any, done: dict[int, Any]) -> Any:
-    """Turns records into arrays; each shared item once, so references cannot multiply memory."""
-    if item is None or isinstance(item, bool | int | float | complex | str | bytes | bytearray):
-        return item
-    key = id(item)
-    if key in done:
-        if done[key] is _PENDING:
-            raise _Refused("a container that contains itself")
-        return done[key]
-    done[key] = _PENDING
-    result: Any
-    if isinstance(item, dict):
-        result = {_hashable(name, done): _plain(value, done) for name, value in item.items()}
-    elif isinstance(item, list | tuple):
-        result = type(item)(_plain(value, done) for value in item)
-    elif isinstance(item, set | frozenset):
-        result = {_hashable(value, done) for value in item}
-    elif isinstance(item, _Array):
-        result = _array(item)
-    elif isinstance(item, _Buffer):
-        data, dtype, shape, order = item.arguments
-        result = _filled(data, _dtype(dtype), shape, order)
-    elif isinstance(item, _Scalar):
-        dtype, data = item.arguments
-        result = _filled(data, _dtype(dtype), (), "C")[()]
-    elif isinstance(item, _Sparse):
-        result = _sparse(item, _plain(item.state, done))
-    elif isinstance(item, _Chumpy):
-        result = _chumpy(item, _plain(item.state, done))
-    else:
-        raise _Refused(item.label if isinstance(item, _Record) else type(item).__name__)
-    done[key] = result
-    return result
-
-
-_PENDING = object()
-
-
-def _hashable(item: Any, done: dict[int, Any]) -> Any:
-    if isinstance(item, str | int | float | bytes):
-        return item
-    if isinstance(item, tuple):
-        return tuple(_hashable(part, done) for part in item)
-    raise _Refused(f"a key of type {type(item).__name__}")
-
-
-def _dtype(record: Any) -> np.dtype[Any]:
-    letter = record.arguments[0] if isinstance(record, _Type) else None
-    letter = letter.decode("latin1") if isinstance(letter, bytes) else letter
-    if not isinstance(letter, str) or not _TYPE.fullmatch(letter):
-        raise _Refused("an array of unknown type")
-    dtype = np.dtype(letter)
-    if dtype.char not in _SIMPLE_KINDS:
-        raise _Refused(f"an array of type {dtype} (Python objects or structures)")
-    order = record.state[1] if isinstance(record.state, tuple) and len(record.state) > 1 else "|"
-    return dtype.newbyteorder(">") if order in (">", b">") else dtype
-
-
-def _array(record: _Array) -> np.ndarray:
-    if not isinstance(record.state, tuple) or len(record.state) != 5:
-        raise _Refused("an array without contents")
-    _, shape, dtype, fortran, data = record.state
-    return _filled(data, _dtype(dtype), shape, "F" if fortran else "C")
-
-
-def _filled(data: Any, dtype: np.dtype[Any], shape: Any, order: Any) -> np.ndarray:
-    data = data.encode("latin1") if isinstance(data, str) else data
-    if not isinstance(data, bytes | bytearray) or order not in ("C", "F"):
-        raise _Refused("an array without plain bytes")
-    plain = isinstance(shape, tuple) and len(shape) <= _MOST_DIMENSIONS
-    if not (plain and all(isinstance(length, int) and 0 <= length < 1 << 48 for length in shape)):
-        raise _Refused("an array of no possible shape")
-    if math.prod(shape) * dtype.itemsize != len(data):
-        raise _Refused(f"an array of shape {shape} and type {dtype} with {len(data)} bytes")
-    array = np.frombuffer(data, dtype=dtype).reshape(shape, order=order)
-    return array.astype(dtype.newbyteorder("="))
-
-
-def _sparse(record: _Sparse, state: Any) -> np.ndarray:
-    """Dense array of a csc or csr matrix, its indices checked here and not by scipy's C code."""
-    shape = state.get("_shape", state.get("shape")) if isinstance(state, dict) else None
-    if not (isinstance(shape, tuple) and len(shape) == 2 and all(0 <= length < 1 << 48 for length in shape)):
-        raise _Refused(f"a {record.label} of no possible shape")
-    if math.prod(shape) * 8 > SPARSE_BYTES:
-        raise _Refused(f"a {record.label} of shape {shape!r}, more than {SPARSE_BYTES} bytes")
-    shape = (int(shape[0]), int(shape[1]))
-    by_column = "csc" in record.label
-    starts, indices, data = (np.asarray(state[name]).reshape(-1) for name in ("indptr", "indices", "data"))
-    outer, inner = (shape[1], shape[0]) if by_column else shape
-    sound = len(starts) == outer + 1 and len(indices) == len(data) and starts[0] == 0 and starts[-1] == len(data)
-    if not sound or (np.diff(starts) < 0).any() or (len(indices) and not 0 <= indices.min() <= indices.max() < inner):
-        raise _Refused(f"a damaged {record.label}")
-    dense = np.zeros((outer, inner))
-    np.add.at(dense, (np.repeat(np.arange(outer), np.diff(starts)), indices), data)
-    return dense.T if by_column else dense
-
-
-def _chumpy(record: _Chumpy, state: Any) -> np.ndarray:
-    """The values of ``Ch`` (a constant array) and of ``Select`` (entries of one), as SMPL's files hold them."""
-    if isinstance(state, dict) and isinstance(state.get("x"), np.ndarray):
-        return state["x"]
-    if isinstance(state, dict) and isinstance(state.get("a"), np.ndarray) and "idxs" in state:
-        chosen = state["a"].reshape(-1)[np.asarray(state["idxs"], dtype=np.int64).reshape(-1)]
-        shape = state.get("preferred_shape")
-        return chosen.reshape(shape) if isinstance(shape, tuple) else chosen
-    raise _Refused(f"{record.label} (a chumpy expression, not a plain array)")
