@@ -9,6 +9,7 @@ import os
 import sys
 import tracemalloc
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,10 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "blender"))
 
-from fuzzing import start
+from fuzzing import CPU_SECONDS, SECONDS, start
 from mutations import deep_json, spoiled_bytes, spoiled_json
 from operation_helpers import bpy_pythons, run_bpy, write_header_only_model
-from worker_messages import BAKED, EVENTS, FRAME, LOG, PACKAGES, PIXELS, PROGRESS, READY, RESULTS, answers, line
+from worker_messages import BAKED, EVENTS, FRAME, LOG, PIXELS, PROGRESS, READY, RESULTS, answers, line
 
 pytestmark = pytest.mark.faults
 Read = tuple[Any, Callable[[bytes], object]]
@@ -249,34 +250,32 @@ def test_a_picture_is_refused_before_memory_is_asked_for() -> None:
             list(read_answers(io.BytesIO(content), print))
 
 
-def _spoiled_streams(folder: Path, examples: int) -> None:
-    """Files ``KIND-NUMBER``: what a child of Blender writes, to every job of the add-on."""
-    number = iter(range(examples))
-    kinds = (*RESULTS, "live", "log", "picture")
+@st.composite
+def spoiled_stream(draw: st.DrawFn) -> tuple[str, bytes]:
+    """Whose it is, and what a child of Blender writes: one line or more of it spoiled."""
+    kind = draw(st.sampled_from((*RESULTS, "live", "log", "picture")))
+    files = {"live": answers(), "log": b"".join(map(line, LOG)), "picture": _png()}
+    if kind in files:
+        return kind, draw(spoiled_bytes(files[kind]))
+    lines = [draw(spoiled_event) if draw(st.booleans()) else line(PROGRESS) for _ in range(2)]
+    last = draw(spoiled_json(RESULTS[kind]) | st.just(json.dumps(RESULTS[kind]).encode()))
+    return kind, b"\n".join([*lines, last, b""])
+
+
+def _write_streams(folder: Path, examples: int) -> int:
+    """Files ``KIND-NUMBER``; how many."""
+    made = count()
 
     @settings(
         max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck),
         derandomize=os.environ.get("CHONA_FAULTS") != "all", phases=[Phase.generate],
     )  # fmt: skip
-    @given(st.data())
-    def write(data: st.DataObject) -> None:
-        index = next(number, None)
-        if index is None:
-            return
-        kind = kinds[index % len(kinds)]
-        if kind == "live":
-            content = data.draw(spoiled_bytes(answers()))
-        elif kind == "log":
-            content = data.draw(spoiled_bytes(b"".join(map(line, LOG))))
-        elif kind == "picture":
-            content = data.draw(spoiled_bytes(_png()))
-        else:
-            parts = [data.draw(spoiled_event) if data.draw(st.booleans()) else line(PROGRESS) for _ in range(2)]
-            last = data.draw(spoiled_json(RESULTS[kind]) | st.just(json.dumps(RESULTS[kind]).encode()))
-            content = b"\n".join([*parts, last, b""])
-        (folder / f"{kind}-{index}").write_bytes(content)
+    @given(spoiled_stream())
+    def write(stream: tuple[str, bytes]) -> None:
+        (folder / f"{stream[0]}-{next(made)}").write_bytes(stream[1])
 
     write()
+    return next(made)
 
 
 def _png() -> bytes:
@@ -295,19 +294,18 @@ def test_no_message_makes_blender_raise_hang_or_grow(tmp_path: Path, often, pyth
         pytest.skip("$CHONA_BPY names no Python with bpy")
     streams = tmp_path / "streams"
     streams.mkdir()
-    _spoiled_streams(streams, often(100, 10_000))
+    written = _write_streams(streams, often(100, 10_000))
     model = write_header_only_model(tmp_path / "model.safetensors")
-    packages = tmp_path / "packages.json"
-    packages.write_text(json.dumps(PACKAGES))
     answer = run_bpy(python, "fuzz_messages.py", streams, model, tmp_path, seconds=3000.0)
     assert answer["raised"] == [] and answer["in threads"] == []
-    assert answer["read"] == len(list(streams.iterdir())) and answer["slowest"] < 5.0
+    assert answer["read"] == written
+    assert answer["slowest"][0] < CPU_SECONDS and answer["slowest"][1] < SECONDS
     counts = answer["ends"]
     assert counts["DONE"] > 0 and counts["FAILED"] > 0 and counts["live pictures"] > 0, counts
     assert answer["grown"] < 1 << 30
     endless = answer["endless"]
-    assert endless["grown"] < 100 << 20 and endless["longest look"] < 1.0 and endless["seconds to end"] < 5.0
+    assert endless["grown"] < 100 << 20 and endless["longest look"] < 5.0 and endless["seconds to end"] < 10.0
     assert endless["longest kept"] <= 4096
     flood = answer["flood"]
-    assert flood["longest look"] < 1.0 and flood["grown"] < 100 << 20 and flood["seen"] > 0
+    assert flood["longest look"] < 5.0 and flood["grown"] < 100 << 20 and flood["seen"] > 0
     assert answer["no result"] == ["FAILED", "the worker ended with code 0: it said nothing; expected a result"]
