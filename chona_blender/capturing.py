@@ -17,6 +17,7 @@ from .capture_estimate import CaptureEstimate, estimate_capture
 from .capture_files import finish_capture
 from .capture_settings import CaptureResult, CaptureSettings, safe_name
 from .errors import ChonaError
+from .events import need
 from .jobs import Job
 
 
@@ -137,9 +138,8 @@ _estimates: dict[int, tuple[tuple[object, ...], str]] = {}
 
 def keep_estimate(scene: bpy.types.Scene, job: CaptureJob) -> str:
     """Remember what an estimate has said; returns its words."""
-    words = str(job.result.get("words") or "")
-    if not words:
-        raise ChonaError("the Blender that estimated said nothing; look at the report")
+    need(job.result, "words")
+    words = job.result["words"]
     _estimates[scene.session_uid] = job.facts, words
     return words
 

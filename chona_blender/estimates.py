@@ -9,6 +9,7 @@ import bpy
 
 from . import model_cache, preferences
 from .bake_frames import frame_bounds
+from .events import need
 from .jobs import duration
 
 NOT_KNOWN = "–"
@@ -53,12 +54,14 @@ _kept: dict[int, Estimate] = {}
 
 
 def keep(scene: bpy.types.Scene, facts: Facts, result: dict[str, Any]) -> Estimate:
-    """Remember what the worker has said of a scene's bake."""
-    costs = {
-        str(name): Cost(float(each["seconds_per_frame"]), float(each["total_seconds"]))
-        for name, each in result["presets"].items()
-    }
-    estimate = Estimate(facts, int(result["frames"]), costs)
+    """Remember what the worker has said of a scene's bake.
+
+    Raises:
+        ChonaError: it has said something else.
+    """
+    need(result, "presets", "frames")
+    costs = {name: Cost(each["seconds_per_frame"], each["total_seconds"]) for name, each in result["presets"].items()}
+    estimate = Estimate(facts, result["frames"], costs)
     _kept[scene.session_uid] = estimate
     return estimate
 

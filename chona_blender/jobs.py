@@ -76,28 +76,27 @@ class Job:
         if code is None:
             return False
         self.code = code
-        if code == 0:
+        if code == 0 and self.result:
             self.status, self.done = DONE, self.total
         elif self.worker.cancelled_at is not None:
             self.status, self.error = CANCELLED, f"{self.title} was cancelled"
         else:
             self.status, self.error = FAILED, self.error or last_words(code, self.worker.lines)
+            if code == 0:
+                self.error += "; expected a result"
         return True
 
     def _take(self, event: dict[str, Any]) -> None:
         kind = event["event"]
         if kind in {"start", "progress"}:
-            self.done = float(event.get("done") or 0.0)
-            self.total = float(event.get("total") or self.total)
-            self.eta = None if event.get("eta") is None else float(event["eta"])
-            self.words = str(event.get("message") or self.words)
-            self.measures = {
-                name: float(event[name]) for name in ("loss", "psnr") if isinstance(event.get(name), int | float)
-            }
+            self.done, self.eta = event.get("done", 0.0), event.get("eta")
+            self.total = event.get("total") or self.total
+            self.words = event.get("message") or self.words
+            self.measures = {name: event[name] for name in ("loss", "psnr") if event.get(name) is not None}
         elif kind == "result":
             self.result = event
         elif kind == "error":
-            self.error = str(event.get("message") or "")
+            self.error = event.get("message", "")
 
     def cancel(self) -> None:
         """Ask the worker to stop; `poll` tells when it has."""

@@ -18,10 +18,11 @@ from .camera import ImageFormat, image_format
 from .errors import ChonaError
 from .jobs import redraw_sidebars, sentence
 from .live_facts import Facts, facts_of
+from .live_frames import Frame
 from .live_kept import Stamp, kept_models, kept_worker
 from .live_pace import STAGES, Pace
 from .live_view import Canvas, Picture, camera_frame, camera_views, depsgraph_of, redraw_views
-from .live_worker import Frame, LiveWorker
+from .live_worker import LiveWorker
 from .rig.cast import ActorPlan
 from .shot import sample_actors_now
 from .shot_file import Shot, shot_bytes

@@ -13,42 +13,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import IO, Any
 
-import numpy as np
-
 from . import worker
-
-CHANNELS = 5
-LARGEST_FRAME = 1 << 31
-"""Bytes: a worker that announces more is not understood."""
+from .errors import ChonaError
+from .events import clean, read_lines
+from .live_frames import Frame, read_answers
 
 KEPT_SECONDS = 60.0
 """How long a worker that nobody asks keeps its model in memory, in case the preview is switched on again."""
 
 _numbers = itertools.count(1)
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A picture that has come.
-
-    Attributes:
-        number: of the request it answers.
-        preset: it was rendered with.
-        rgba: [H, W, 4] float32, scene-linear, premultiplied, the top row first.
-        depth: [H, W] float32 along the camera axis, metres; 1e10 where empty.
-        seconds: the worker needed for it.
-        arrived: `time.monotonic()` when it was there.
-    """
-
-    number: int
-    preset: str
-    rgba: np.ndarray
-    depth: np.ndarray
-    seconds: float
-    arrived: float
 
 
 class LiveWorker:
@@ -156,19 +131,17 @@ class LiveWorker:
 
     def _listen(self, pipe: IO[bytes]) -> None:
         with pipe:
-            for line in pipe:
-                self._words.append(line.decode("utf-8", "replace").rstrip())
+            for line in read_lines(pipe):
+                self._words.append(clean(line).rstrip())
 
     def _read(self, pipe: IO[bytes]) -> None:
         problem = ""
         with pipe:
             try:
-                while line := pipe.readline():
-                    event = worker.parse_event(line.decode("utf-8", "replace"))
-                    if event is not None:
-                        self._take(event, pipe)
-            except (ValueError, KeyError, TypeError, OSError) as error:
-                problem = f"the worker's answer is not understood ({type(error).__name__}: {error})"
+                for event, frame in read_answers(pipe, self._words.append):
+                    self._take(event, frame)
+            except (ChonaError, OSError) as error:
+                problem = str(error)
                 worker.kill_group(self._process)
         code = self._process.wait()
         self._listener.join(timeout=2.0)
@@ -178,29 +151,16 @@ class LiveWorker:
             self._closing, self._answered = True, self._asked
             self._changed.notify_all()
 
-    def _take(self, event: dict[str, Any], pipe: IO[bytes]) -> None:
-        kind, frame, error = event["event"], None, ""
-        if kind == "frame":
-            frame = _read_frame(event, pipe)
-        elif kind == "error":
-            error = str(event.get("message") or "the worker cannot render this")
+    def _take(self, event: dict[str, Any], frame: Frame | None) -> None:
+        kind = event["event"]
         with self._changed:
+            number = event.get("request", self._asked)  # what names no request answers all that wait
+            if number > self._asked:
+                raise ChonaError(f"the worker's answer is not understood: there is no request {number}")
             if kind == "ready":
                 self.was_ready = True
             elif kind in {"frame", "error", "skipped"}:
-                self._answered = max(self._answered, int(event["request"]))
-                self.error = error
+                self._answered = max(self._answered, number)
+                self.error = event.get("message") or "the worker cannot render this" if kind == "error" else ""
             if frame is not None:
                 self._frame = frame
-
-
-def _read_frame(event: dict[str, Any], pipe: IO[bytes]) -> Frame:
-    width, height, size = int(event["width"]), int(event["height"]), int(event["bytes"])
-    if size != width * height * CHANNELS * 4 or not 0 < size < LARGEST_FRAME:
-        raise ValueError(f"{size} bytes for {width}x{height} pixels")
-    content = pipe.read(size)
-    if len(content) < size:
-        raise ValueError(f"{len(content)} of {size} bytes")
-    pixels = np.frombuffer(content, "<f4").reshape(height, width, CHANNELS)
-    rgba, depth = np.ascontiguousarray(pixels[..., :4]), np.ascontiguousarray(pixels[..., 4])
-    return Frame(int(event["request"]), str(event["preset"]), rgba, depth, float(event["seconds"]), time.monotonic())

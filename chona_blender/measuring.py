@@ -50,13 +50,7 @@ def start_estimate(scene: bpy.types.Scene) -> EstimateJob:
 
 def keep_estimate(scene: bpy.types.Scene, job: EstimateJob) -> list[str]:
     """Remember what a finished job has found. Returns a line for every preset."""
-    try:
-        estimate = estimates.keep(scene, job.facts, job.result)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ChonaError(
-            f"the worker's estimate is not understood ({type(error).__name__}: {error}); install the CHONA extension "
-            "again, so that add-on and worker are of one version"
-        ) from error
+    estimate = estimates.keep(scene, job.facts, job.result)
     actors = actions.settings_of(scene).used_actors()
     header = model_cache.refresh(actors[0].model_path) if actors else None
     trade = None if header is None else header.trade

@@ -5,6 +5,7 @@ An icon is drawn into a square, so pictures are made square: what is missing sta
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import bpy
@@ -13,6 +14,7 @@ import numpy as np
 
 BACKGROUND = (0.11, 0.11, 0.11)
 """sRGB, as Blender's own plots have it."""
+MOST_PIXELS = 1 << 24
 
 _icons: list[bpy.utils.previews.ImagePreviewCollection] = []
 
@@ -76,18 +78,35 @@ def read(path: Path) -> np.ndarray:
     """[H, W, 3] in 0…1 of an image file, as it is encoded.
 
     Raises:
-        RuntimeError: Blender cannot read it.
+        RuntimeError: it is no PNG that Blender can read, or has more than `MOST_PIXELS`.
     """
+    _check_size(path)
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         image.colorspace_settings.name = "Non-Color"
         width, height = image.size
+        if width * height * image.channels == 0 or image.channels < 3:
+            raise RuntimeError(f"{path} is damaged")
         flat = np.empty(width * height * image.channels, dtype=np.float32)
         image.pixels.foreach_get(flat)
         channels = image.channels
     finally:
         bpy.data.images.remove(image)
     return flat.reshape(height, width, channels)[::-1, :, :3].astype(np.float64)
+
+
+def _check_size(path: Path) -> None:
+    """Refuses what would take minutes and gigabytes, by the file's first bytes alone."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(24)
+    except OSError as error:
+        raise RuntimeError(f"{path} cannot be read: {error.strerror}") from error
+    if len(start) < 24 or not start.startswith(b"\x89PNG\r\n\x1a\n") or start[12:16] != b"IHDR":
+        raise RuntimeError(f"{path} is no PNG")
+    width, height = struct.unpack(">II", start[16:])
+    if not 0 < width * height <= MOST_PIXELS:
+        raise RuntimeError(f"{path} has {width} x {height} pixels, expected at most {MOST_PIXELS}")
 
 
 def register() -> None:

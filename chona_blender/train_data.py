@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import bpy
 import numpy as np
 
 from . import actions, jobs, pictures, preferences
 from .errors import ChonaError
+from .events import need
 from .jobs import DONE, FAILED, Job
 from .worker import chona_command, find_python
 
@@ -162,18 +162,17 @@ def answer_of(job: Job) -> Found:
     if not job.result:
         return Found(problem=jobs.sentence(ChonaError(job.error or "the worker said nothing")))
     try:
-        said: dict[str, Any] = job.result
-        sequences = tuple(
-            Checked(
-                str(each["name"]), int(each["views"]), int(each["checked"]), each["joints_inside"],
-                each["objects_inside"], Path(each["sheet"]) if each["sheet"] else None,
-            )
-            for each in said["sequences"]
-        )  # fmt: skip
-        return Found(str(said["headline"]), sequences, tuple(map(str, said["warnings"])), sound=bool(said["sound"]))
-    except (KeyError, TypeError, ValueError) as error:
-        words = f"what the worker says of the data is not understood ({type(error).__name__}: {error})"
-        return Found(problem=jobs.sentence(ChonaError(f"{words}; install the CHONA extension again")))
+        need(job.result, "headline", "sequences", "warnings", "sound")
+    except ChonaError as error:
+        return Found(problem=jobs.sentence(error))
+    sequences = tuple(
+        Checked(
+            each["name"], each["views"], each["checked"], each["joints_inside"], each["objects_inside"],
+            Path(each["sheet"]) if each["sheet"] else None,
+        )
+        for each in job.result["sequences"]
+    )  # fmt: skip
+    return Found(job.result["headline"], sequences, tuple(job.result["warnings"]), sound=job.result["sound"])
 
 
 def sheets(key: Key) -> Sequence[Checked]:

@@ -14,6 +14,9 @@ PSNR_COLOUR, LOSS_COLOUR, PREVIEW_COLOUR = (0.35, 0.68, 1.0), (1.0, 0.62, 0.22),
 GROUND, GRID, WORDS = (0.11, 0.11, 0.11), (0.2, 0.2, 0.2), (0.6, 0.6, 0.6)
 LEFT, TOP, RIGHT, BOTTOM = 50, 8, 8, 18
 """Pixels around a plot, for its numbers."""
+LARGEST_LOG = 1 << 23
+"""Bytes: of a larger one, which no training writes, the end is read."""
+BOUNDS = {"step": (0, 1e12), "loss": (-1e12, 1e12), "psnr": (-1000.0, 1000.0)}
 SMOOTHING = 0.15
 """Weight of a new value in the bright curve; the dim one has every value."""
 
@@ -34,18 +37,38 @@ class TrainLog:
 
 
 def read_log(path: Path) -> TrainLog:
-    """What a log says so far; nothing where there is none, and without a last line that is still being written."""
-    rows = []
-    text = path.read_text("utf-8", errors="replace") if path.is_file() else ""
-    for line in text.splitlines():
+    """What a log says so far; nothing where there is none, and without a last line that is still being written.
+
+    What no training writes is left out: steps that do not grow, numbers of no possible size.
+    """
+    rows: list[tuple[float, ...]] = []
+    for line in _last_part(path).splitlines():
         try:
             entry = json.loads(line)
-            row = tuple(float(entry[name]) for name in ("step", "loss", "psnr"))
-            rows.append((*row, float(entry.get("preview_psnr", np.nan))))
-        except (ValueError, KeyError, TypeError):
+            step, loss, psnr = (_within(entry[name], name) for name in ("step", "loss", "psnr"))
+            preview = entry.get("preview_psnr")
+            row = step, loss, psnr, np.nan if preview is None else _within(preview, "psnr")
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    return TrainLog(*table[np.isfinite(table[:, :3]).all(axis=1)].T)
+        if not rows or step > rows[-1][0]:
+            rows.append(row)
+    return TrainLog(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
+
+
+def _last_part(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            file.seek(max(path.stat().st_size - LARGEST_LOG, 0))
+            return file.read(LARGEST_LOG).decode("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+def _within(value: object, name: str) -> float:
+    low, high = BOUNDS[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ValueError(f"{name} out of bounds")
+    return float(value)
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
@@ -104,7 +127,7 @@ def draw_curves(log: TrainLog, size: tuple[int, int]) -> np.ndarray:
     """
     width, height = size
     half = height // 2
-    last = float(log.step[-1]) if len(log.step) else 1.0
+    last = max(float(log.step[-1]), 1.0) if len(log.step) else 1.0
     shown = np.isfinite(log.preview_psnr)
     upper = psnr_scale(np.concatenate([log.psnr, log.preview_psnr[shown]]), last, (width, half))
     logarithm = np.log10(np.maximum(log.loss, 1e-9))

@@ -1,6 +1,6 @@
 """The worker: `python -m chona_model …` in a process of its own, spoken to in JSON lines.
 
-Nothing here touches Blender's data, and the reader threads only fill a queue: what they read is looked at in
+Nothing here touches Blender's data, and the reader threads only keep what they read: it is looked at in
 Blender's main thread. The worker's Python is another one than Blender's: torch lives there, and a crash or an
 out-of-memory ends only the worker.
 """
@@ -8,9 +8,7 @@ out-of-memory ends only the worker.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import queue
 import signal
 import subprocess
 import sys
@@ -23,6 +21,7 @@ from typing import IO, Any, Protocol
 
 from . import worker_home
 from .errors import ChonaError
+from .events import clean, parse_event, read_lines
 
 PYTHON_VARIABLE = "CHONA_WORKER_PYTHON"
 KEPT_LINES = 80
@@ -147,15 +146,13 @@ class Worker:
         self.command = [str(part) for part in command]
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.cancelled_at: float | None = None
-        self._queue: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._events: dict[str, dict[str, Any]] = {}
+        self._guard = threading.Lock()
         self._process = start_process(
             self.command,
             environment,
             # The worker ends when this end of the pipe is closed, which the system does even when Blender crashes.
             stdin=subprocess.PIPE if UNTIL_CLOSED in self.command else subprocess.DEVNULL,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
         )
         self._threads = [
             threading.Thread(target=self._read_events, args=(self._process.stdout,), daemon=True),
@@ -165,26 +162,26 @@ class Worker:
             thread.start()
         running.add(self)
 
-    def _read_events(self, stream: IO[str]) -> None:
+    def _read_events(self, stream: IO[bytes]) -> None:
         with contextlib.suppress(ValueError), stream:
-            for line in stream:
+            for line in read_lines(stream):
                 event = parse_event(line)
                 if event is None:
-                    self.lines.append(line.rstrip())
-                else:
-                    self._queue.put(event)
+                    self.lines.append(clean(line).rstrip())
+                    continue
+                with self._guard:
+                    self._events.pop(event["event"], None)
+                    self._events[event["event"]] = event
 
-    def _read_words(self, stream: IO[str]) -> None:
+    def _read_words(self, stream: IO[bytes]) -> None:
         with contextlib.suppress(ValueError), stream:
-            for line in stream:
-                self.lines.append(line.rstrip())
+            for line in read_lines(stream):
+                self.lines.append(clean(line).rstrip())
 
     def events(self) -> list[dict[str, Any]]:
-        """What the worker has said since the last call."""
-        found = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                found.append(self._queue.get_nowait())
+        """What the worker has said since the last call: of each kind the newest, in the order in which they came."""
+        with self._guard:
+            found, self._events = list(self._events.values()), {}
         return found
 
     def code(self) -> int | None:
@@ -251,17 +248,6 @@ def close_all() -> None:
     """End every worker: when Blender quits or the add-on is switched off."""
     for worker in list(running):
         worker.close()
-
-
-def parse_event(line: str) -> dict[str, Any] | None:
-    """A line of the progress protocol, or None when it is something else that was printed."""
-    if not line.startswith("{"):
-        return None
-    try:
-        event = json.loads(line)
-    except ValueError:
-        return None
-    return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
 
 
 def chona_command(python: Path, arguments: Sequence[str]) -> list[str]:

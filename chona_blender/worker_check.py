@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import ChonaError
+from .events import PACKAGES
 from .worker import Worker, find_python, sources_folder
 from .worker_packages import older, packages
 
@@ -141,6 +142,8 @@ def judge(
     Args:
         device: `cuda` makes a graphics card that cannot be used a problem; else it is a note.
     """
+    if answer is not None and not answer.keys() >= PACKAGES.keys():
+        answer = None  # it speaks of something else
     problem, remedy, more = _fault(python, answer, code, lines, device)
     if answer is None:
         return WorkerReport(python, origin, problem, remedy, {"output": "\n".join(lines)})
@@ -187,7 +190,7 @@ def _old(python: Path, answer: dict[str, Any], other: str) -> tuple[str, str] | 
 def _foreign(python: Path, answer: dict[str, Any], other: str) -> tuple[str, str] | None:
     """Another chona_model than the add-on's own: a wrapper or a site configuration goes before PYTHONPATH."""
     own = sources_folder() / "chona_model"
-    loaded = Path(answer["chona_model"]).parent
+    loaded = Path(answer.get("chona_model", "")).parent
     if loaded.resolve() == own.resolve():
         return None
     problem = f"the worker's Python {python} loads chona_model from {loaded}, not the add-on's own, which may be newer"

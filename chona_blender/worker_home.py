@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import bpy
@@ -61,8 +61,12 @@ def folder(create: bool = False) -> Path:
 def ready(environment: Path) -> Ready | None:
     """What is known of an environment; None where there is none, or half of one."""
     try:
-        return Ready(**json.loads((environment / READY).read_text("utf-8")))
-    except (OSError, ValueError, TypeError):
+        content = json.loads((environment / READY).read_text("utf-8"))
+        kinds = {each.name: int if each.name == "bytes" else str for each in fields(Ready)}
+        if not all(isinstance(content[name], kind) for name, kind in kinds.items()):
+            return None
+        return Ready(**{name: content[name] for name in kinds})
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
 
 

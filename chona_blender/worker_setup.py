@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -19,7 +18,8 @@ import bpy
 
 from . import jobs, worker_home, worker_setup_process
 from .errors import ChonaError
-from .worker import sources_folder, worker_environment
+from .events import need
+from .worker import Worker, sources_folder
 from .worker_check import OLDEST, WorkerReport, judge, probe_arguments
 from .worker_packages import TORCH_INDEX, Package, Size, constraints, measured_size, packages
 
@@ -32,8 +32,10 @@ for name in ("venv", "ensurepip"):
         __import__(name)
     except ImportError:
         lacks.append(name)
-print(json.dumps({"path": sys.executable, "version": list(sys.version_info[:3]), "lacks": lacks}))
+base = {"path": sys.executable or "", "version": list(sys.version_info[:3]), "lacks": lacks}
+print(json.dumps({"event": "result", "job": "probe", "base": base}))
 """
+PROBE_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -166,11 +168,15 @@ def find_base(named: str = "") -> Base:
 def examine(path: str) -> Base:
     """Whether environments can be made of a Python. Asked once a session: it starts a process."""
     try:
-        done = subprocess.run(
-            [path, "-I", "-c", PROBE], capture_output=True, text=True, timeout=30, check=False, env=worker_environment()
-        )
-        answer = json.loads(done.stdout)
-    except (OSError, ValueError, subprocess.TimeoutExpired):
+        worker = Worker([path, "-I", "-c", PROBE])
+    except ChonaError:
+        return Base(Path(path), problem="does not start as a Python")
+    try:
+        worker.wait(PROBE_SECONDS)
+        answer = next((event["base"] for event in worker.events() if "base" in event), None)
+    finally:
+        worker.close(grace=0.0)
+    if answer is None:
         return Base(Path(path), problem="does not start as a Python")
     version = ".".join(map(str, answer["version"]))
     problem = ""
@@ -240,12 +246,13 @@ def finish(choice: Choice, job: jobs.Job) -> WorkerReport:
     Raises:
         ChonaError: it cannot be the worker; what was set up before stays.
     """
+    need(job.result, "environment", "check", "bytes")
     environment = Path(job.result["environment"])
     python = worker_setup_process.environment_python(environment)
     report = judge(python, "the new environment", job.result["check"], 0, [])
     if not report.good:
         raise ChonaError(report.summary)
-    if choice.device == "cuda" and not job.result["check"]["torch_cuda"]:
+    if choice.device == "cuda" and not job.result["check"].get("torch_cuda"):
         raise ChonaError(
             f"the torch that was installed ({report.details['torch']}) is a build for the CPU alone; "
             "name an index that has builds with CUDA, or set up with CPU"

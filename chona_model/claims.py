@@ -36,6 +36,8 @@ LOOK_SECONDS, STOP_SECONDS = 2.0, 0.05
 """Between two looks at what others hold, at most; between two at whether to stop."""
 RECORD_BYTES = 1024
 """Of a claim, padded: a sign of life replaces it in place."""
+MOST_BYTES = 1 << 16
+"""Of a claim that is read: anybody may have made it."""
 _HELD, _DONE, _FREE = "held", "done", "free"
 
 
@@ -266,7 +268,8 @@ def claim_path(folder: Path, name: str, generation: int) -> Path:
 def _read(path: Path) -> bytes | None:
     """What is in a file; None where there is none, nothing where it cannot be read just now."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(MOST_BYTES)
     except FileNotFoundError:
         return None
     except OSError:
@@ -277,6 +280,6 @@ def _parse(content: bytes) -> dict[str, Any]:
     """What a claim says; nothing while it is being written."""
     try:
         record = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return record if isinstance(record, dict) else {}

@@ -9,6 +9,7 @@ import bpy
 from .. import actions, frames_there, jobs
 from ..baked_image import baked_frames, baked_image, follow
 from ..errors import ChonaError
+from ..events import need
 from ..output import Output, bake_output, output_now
 from ..readiness import why_not_ready
 from .image_editor import show_image
@@ -78,7 +79,8 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
 
 def baked_words(result: dict[str, Any]) -> str:
     """`12 frames written, 38 were up to date`, of the worker's result."""
-    written, skipped = int(result.get("written", 0)), int(result.get("skipped", 0))
+    need(result, "written", "skipped")
+    written, skipped = result["written"], result["skipped"]
     words = f"{written} frame{'s' * (written != 1)} written"
     return f"{words}, {skipped} left as they were" if skipped else words
 

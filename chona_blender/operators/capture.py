@@ -8,7 +8,11 @@ from .. import capturing, jobs, ring_view
 from ..capture_command import estimate_words
 from ..capturing import CaptureJob
 from ..errors import ChonaError
+from ..events import need
 from .poll import allowed, needs
+
+SHOWN_WARNINGS = 20
+"""Of a capture in a Blender of its own; nobody reads more."""
 
 
 def why_no_capture(scene: bpy.types.Scene) -> str:
@@ -43,13 +47,14 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
         return capturing.start_capture(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        for words in job.result.get("warnings", ()):
-            self.report({"WARNING"}, str(words))
+        need(job.result, "written", "skipped")
+        for words in job.result.get("warnings", ())[:SHOWN_WARNINGS]:
+            self.report({"WARNING"}, words)
         scene = bpy.data.scenes.get(self._scene)
         if scene is not None and not scene.chona.data_folder:
             scene.chona.data_format = "blender"
             scene.chona.data_folder = scene.chona.capture_folder
-        return f"Captured {job.result.get('written', 0)} frames, {job.result.get('skipped', 0)} were there"
+        return f"Captured {job.result['written']} frames, {job.result['skipped']} were there"
 
 
 class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):

@@ -20,9 +20,13 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
 
 from chona_model.formats.atomic import WriteError, clear_leftovers
 from chona_model.owner import Owner, this_process
+from chona_model.plain_json import JsonError, decode
 
 BEAT_SECONDS, STALE_SECONDS = 15.0, 120.0
 """A lock is touched this often; of another machine's, one that was not for so long is nobody's."""
@@ -71,17 +75,31 @@ class Holder:
                            "shared": self.shared})  # fmt: skip
 
 
+_Words = Annotated[str, msgspec.Meta(max_length=400)]
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a lock's file holds: anybody may have written it."""
+
+    host: _Words
+    machine: _Words
+    pid: Annotated[int, msgspec.Meta(ge=1, lt=1 << 32)]
+    started: _Words
+    since: _Words
+    what: _Words
+    frames: frozenset[int] | None
+    shared: bool
+
+
 def parse_holder(text: str) -> Holder | None:
     """Inverse of ``Holder.text``; None where it is something else."""
     try:
-        content = json.loads(text)
-        owner = Owner(
-            str(content["host"]), str(content["machine"]), int(content["pid"]), str(content["started"])
-        )  # fmt: skip
-        frames = None if content["frames"] is None else frozenset(map(int, content["frames"]))
-        return Holder(owner, str(content["since"]), str(content["what"]), frames, bool(content["shared"]))
-    except (ValueError, KeyError, TypeError):
+        written = decode(text, _Written)
+    except JsonError:
         return None
+    owner = Owner(written.host, written.machine, written.pid, written.started)
+    return Holder(owner, written.since, written.what, written.frames, written.shared)
 
 
 class FolderLock:

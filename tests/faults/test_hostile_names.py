@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
-sys.path[:0] = [str(HERE), str(ROOT / "tests" / "model")]
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "model"))
+
+from network_watch import ROOT, WATCH, chona
 
 pytestmark = pytest.mark.faults
 
@@ -21,21 +22,6 @@ PERSON = "Rob $(touch owned) `touch owned`; touch owned & %s%n%(x)s {0} ü漢�
 THING = "crate|touch owned\t%d"
 FOLDER = "a b; touch owned & $(touch owned) %s%(x)d {0} ü漢😀 'q' [*?]\nc"
 SEQUENCE = "lift $(touch owned); %s ü漢 'q'"
-
-WATCH = """
-import os, sys
-
-def watch(event, arguments):
-    network = event in ("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto")
-    shell = event == "os.system" or (event == "subprocess.Popen" and str(arguments[0]).endswith("sh"))
-    if network or shell:
-        with open(os.environ["CHONA_WATCHED"], "a") as log:
-            log.write(f"{event} {arguments!r}\\n")
-        os._exit(97)
-
-sys.addaudithook(watch)
-"""
-"""``sitecustomize``: a process that opens a connection or a shell is ended, and says so in a file."""
 
 NETWORK = {
     "socket",
@@ -50,23 +36,6 @@ NETWORK = {
     "requests",
     "httpx",
 }
-
-
-def chona(*words: str | Path, cwd: Path, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    """A command under watch, without a network where the system lets one be taken away."""
-    watch = cwd / "watch"
-    watch.mkdir(exist_ok=True)
-    (watch / "sitecustomize.py").write_text(WATCH)
-    command = [sys.executable, "-m", "chona_model", *map(str, words)]
-    if subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode == 0:
-        command = ["unshare", "-rn", *command]
-    environment = os.environ | {"PYTHONPATH": f"{watch}{os.pathsep}{ROOT}", "CHONA_WATCHED": str(cwd / "watched.txt")}
-    done = subprocess.run(
-        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=500, check=False, input=stdin
-    )
-    watched = (cwd / "watched.txt").read_text() if (cwd / "watched.txt").exists() else ""
-    assert not watched, f"{words[0]}: {watched}"
-    return done
 
 
 def test_the_watch_sees_a_connection_and_a_shell(tmp_path: Path) -> None:
