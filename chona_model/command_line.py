@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from chona_model.arguments import Parser, SourceAction, frame_list, name_list, number, whole
+from chona_model.arguments import Parser, SourceAction, frame_list, job_file, name_list, number, whole
 from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
 from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
@@ -50,6 +50,16 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
             "--until-closed", action="store_true",
             help="end when standard input is closed: with the program that started this",
         )  # fmt: skip
+        command.add_argument(
+            "--progress-file", type=job_file, metavar="FILE.json",
+            help="say in this file, instead of on stdout, how far it is; a file FILE.stop ends it",
+        )  # fmt: skip
+
+    def add_detach(command: argparse.ArgumentParser) -> None:
+        command.add_argument(
+            "--detach", action="store_true",
+            help="go on in a process that ends with nobody; says which, where it tells how far it is, how to end it",
+        )  # fmt: skip
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -66,9 +76,12 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         help="draw RUN/preview.png, a training view beside the model's, every S seconds (default: never)",
     )  # fmt: skip
 
+    add_detach(train)
+
     addition = add("add", "add a person or an object, seen alone, to a model that stays as it is", long=True)
     _add_sources(addition, "repeat it to add from several")
     add_add(addition)
+    add_detach(addition)
 
     evaluate = add("evaluate", "measure a model on views it has not seen", long=True)
     evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")
@@ -120,6 +133,8 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         "--passes", type=name_list, default=list(DEFAULT_PASSES.names), metavar="A,B,…",
         help=f"of {', '.join(PASSES)} (default: {', '.join(DEFAULT_PASSES.names)}; combined always)",
     )  # fmt: skip
+
+    add_detach(bake)
 
     trade = add("trade", "measure what speed costs with a model, and find the best settings", long=True)
     trade.add_argument("--model", type=Path, required=True, metavar="FILE")
