@@ -1,10 +1,9 @@
-"""Bakes and trainings that go on when Blender is killed: the next Blender shows them, cancels them, tells their ends."""
+"""Bakes and trainings that go on when Blender is killed: the next one shows, cancels, and tells their ends."""
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -13,7 +12,6 @@ from pathlib import Path
 
 import pytest
 from operation_helpers import ROOT, SCRIPTS, bpy_pythons, needs_worker, run_bpy
-from rolling_ball import write_rolling_ball
 
 pytestmark = [
     pytest.mark.bpy,
@@ -54,6 +52,8 @@ def killed_blender(python: str, script: str, *words: object, once: Callable[[], 
 @every_blender
 def test_a_bake_goes_on_and_is_picked_up(python: str, tmp_path: Path) -> None:
     needs_worker(python)
+    from rolling_ball import write_rolling_ball
+
     from chona_model.formats.exr_structure import is_whole
     from chona_model.owner import process_start
 
@@ -79,65 +79,89 @@ def test_a_bake_goes_on_and_is_picked_up(python: str, tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == {"walk.shot.npz", *(path.name for path in frames())}
 
 
-def detached(*words: object) -> dict:
-    """Starts a command that goes on by itself; what it says."""
-    done = subprocess.run(
-        [sys.executable, "-m", "chona_model", *map(str, words), "--detach", "--progress", "json"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+@every_blender
+def test_a_training_goes_on_and_is_picked_up(python: str, tmp_path: Path) -> None:
+    """Its row in the list is found again; paused there, it goes on to its end in the same list."""
+    needs_worker(python)
+    from cli_files import write_capture
+
+    run = tmp_path / "run"
+    small = ROOT / "tests" / "model" / "train" / "tiny_runs.py"
+    capture = write_capture(tmp_path / "capture")
+
+    def steps() -> int:
+        log = run / "log.jsonl"
+        return len(log.read_text("utf-8").splitlines()) if log.is_file() else 0
+
+    words = (sys.executable, capture, tmp_path, small)
+    killed_blender(python, "detached_training.py", "start", *words, once=lambda: steps() > 1)
+    there = steps()
+    until(lambda: steps() > there + 2)
+    answer = run_bpy(python, "detached_training.py", "pick-up", *words)
+    assert answer["opened"] == [["run", "PAUSED"]] and answer["meanwhile"] == [["run", "RUNNING"]]
+    assert answer["closed"] == ["RUNNING", True], "another file was opened, and it went on"
+    assert answer["title"] == "Train run" and answer["text"].startswith("step ")
+    assert answer["result"] == ["FINISHED"] and answer["paused"] == [["run", "PAUSED", True]]
+    assert not list(run.glob(".chona-*")) and not (run / "stop").exists()
+    assert (run / "checkpoint.safetensors").is_file() and (run / "model.safetensors").is_file()
 
 
-def bake_words(model: Path, shot: Path, out: Path, *more: object) -> list[object]:
-    return ["bake", "--model", model, "--shot", shot, "--out", out, "--preset", "draft", *more]
+def job_process(path: Path, *events: dict) -> subprocess.Popen[bytes]:
+    """A process that tells of a job; it has told all of these events, or ended."""
+    path.parent.mkdir(exist_ok=True)
+    program = [sys.executable, str(Path(__file__).with_name("job_process.py")), str(path)]
+    with path.with_suffix(".log").open("ab") as log:
+        process = subprocess.Popen([*program, *map(json.dumps, events)], stderr=log, cwd=ROOT,
+                                   env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
+    kinds = {"start", "progress", "end"}
+    until(lambda: process.poll() is not None or (
+        path.is_file() and sum(record_of(path)[kind] is not None for kind in kinds) == len(events)
+    ))  # fmt: skip
+    return process
+
+
+START = {"event": "start", "job": "bake", "total": 50}
+PROGRESS = {"event": "progress", "job": "bake", "done": 12, "total": 50, "seconds": 3.0, "eta": 9.0}
 
 
 @every_blender
 def test_ends_are_told_once(python: str, tmp_path: Path) -> None:
     """Finished, killed, failed; and a file that names a process which is another program's."""
-    needs_worker(python)
-    from cli_files import write_capture
-
-    from chona_model.owner import process_start
-
-    model, shot = write_rolling_ball(tmp_path, 400)
+    end = {"event": "result", "job": "bake", "written": 49, "skipped": 1}
+    failure = {"event": "error", "job": "bake", "code": 2, "message": "the disk is full"}
     folders = {name: tmp_path / name for name in ("finished", "killed", "failed", "run")}
-    told = detached(*bake_words(model, shot, folders["finished"], "--frames", "1-2"))
-    until(lambda: process_start(told["pid"]) is None)
-    told = detached(*bake_words(model, shot, folders["killed"]))
-    until(lambda: len(list(folders["killed"].glob("*.exr"))) > 1)
-    os.kill(told["pid"], signal.SIGKILL)
-    until(lambda: process_start(told["pid"]) is None)
-    told = detached(*bake_words(model, shot, folders["failed"], "--frames", "900"))
-    until(lambda: process_start(told["pid"]) is None)
-    told = detached("train", "--data", write_capture(tmp_path / "capture"), "--out", folders["run"], "--steps", 10**6)
-    until(lambda: record_of(Path(told["file"]))["start"])
-    os.kill(told["pid"], signal.SIGKILL)
-    until(lambda: process_start(told["pid"]) is None)
+    files = {name: folder / ".chona-bake-walk.json" for name, folder in folders.items()}
+    files["run"] = folders["run"] / ".chona-train.json"
+    assert job_process(files["finished"], START, PROGRESS, end).wait(SECONDS) == 0
+    assert job_process(files["failed"], START, failure).wait(SECONDS) == 1
+    for name, events in (("killed", [START, PROGRESS]), ("run", [{**START, "job": "train"}])):
+        with job_process(files[name], *events) as process:
+            process.kill()
+    (folders["failed"] / ".chona-bake-other.json").write_text('{"version": 1, "owner"', "utf-8")
+    foreign = record_of(files["finished"])
+    foreign["owner"]["host"] = "elsewhere"
+    (folders["failed"] / ".chona-bake-foreign.json").write_text(json.dumps(foreign), "utf-8")
     with subprocess.Popen(["sleep", "600"]) as stranger:
-        reused = folders["killed"] / ".chona-bake-walk.json"
-        content = record_of(reused)
-        reused.write_text(json.dumps({**content, "owner": {**content["owner"], "pid": stranger.pid}}), "utf-8")
-        (folders["failed"] / ".chona-bake-other.json").write_text('{"version": 1, "owner"', "utf-8")
+        content = record_of(files["killed"])
+        files["killed"].write_text(json.dumps({**content, "owner": {**content["owner"], "pid": stranger.pid}}), "utf-8")
         places = [
             *(("walk", str(folders[name])) for name in ("finished", "finished", "killed", "failed")),
-            ("other", str(folders["failed"])),
+            *((name, str(folders["failed"])) for name in ("other", "foreign")),
             ("", str(folders["run"])),
         ]
         answer = run_bpy(python, "detached_ends.py", json.dumps(places))
         assert stranger.poll() is None, "a process that was never ours"
         stranger.kill()
 
-    finished, again, killed, failed, damaged, run = answer["told"]
+    finished, again, killed, failed, damaged, elsewhere, run = answer["told"]
     assert all(each["result"] == ["FINISHED"] for each in answer["told"]) and not answer["nowhere"]
     assert len(finished["news"]) == 1 and finished["news"][0].startswith("Bake walk has finished at ")
-    assert finished["news"][0].endswith(f"2 frames written in {folders['finished']}") and finished["dismiss"]
-    assert (again["news"], again["error"], again["dismiss"]) == ([], "", False)
-    done = content["progress"]["done"]
+    assert finished["news"][0].endswith(f"49 frames written, 1 left as they were in {folders['finished']}")
+    assert finished["dismiss"] and (again["news"], again["error"], again["dismiss"]) == ([], "", False)
     assert killed["error"].startswith("Bake walk ended without Blender: it was killed, or the computer went down")
-    assert killed["error"].endswith(f"{done} of 400 frames are there: press Bake to go on")
-    assert failed["error"].startswith("Bake walk failed at ") and "900" in failed["error"]
-    assert (damaged["news"], damaged["error"]) == ([], "") and damaged["left"] == [".chona-bake-other.json"]
+    assert killed["error"].endswith("12 of 50 frames are there: press Bake to go on")
+    assert failed["error"].startswith("Bake walk failed at ") and failed["error"].endswith(": the disk is full")
+    assert all((each["news"], each["error"]) == ([], "") for each in (damaged, elsewhere))
+    assert damaged["left"] == elsewhere["left"] == [".chona-bake-foreign.json", ".chona-bake-other.json"]
     assert run["rows"][0][0] == "FAILED" and "with Resume it goes on" in run["rows"][0][1]
     assert [each["left"] for each in (finished, killed, run)] == [[], [], []]

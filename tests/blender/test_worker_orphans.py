@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from operation_helpers import ROOT, SCRIPTS, bpy_pythons, needs_worker
-from rolling_ball import write_rolling_ball
 
 pytestmark = [pytest.mark.bpy, pytest.mark.faults]
 FRAMES = 400
@@ -22,6 +21,8 @@ PROMISED_SECONDS = 5.0
 @pytest.mark.parametrize("python", bpy_pythons()[:1])
 def test_a_worker_ends_with_a_blender_that_crashes(python: str, tmp_path: Path) -> None:
     needs_worker(python)
+    from rolling_ball import write_rolling_ball
+
     from chona_model.formats.exr_structure import is_whole
     from chona_model.owner import process_start
 

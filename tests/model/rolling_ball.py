@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from ball_model import ball_actor
+from scene_files import write_poses
+from tiny_capture import tiny_cameras
+
+from chona_model.data.dataset import Pose
+from chona_model.model_store import save_actor
+
 
 def write_rolling_ball(folder: Path, frames: int) -> tuple[Path, Path]:
-    """A model of one object, and the shot ``walk`` in which it rolls by; wants the helpers of ``tests/model``."""
-    import numpy as np
-    from ball_model import ball_actor
-    from scene_files import write_poses
-    from tiny_capture import tiny_cameras
-
-    from chona_model.data.dataset import Pose
-    from chona_model.model_store import save_actor
-
+    """A model of one object, and the shot ``walk`` in which it rolls by."""
     model = folder / "model.safetensors"
     save_actor(model, ball_actor(), "chona", {}, {})
     poses = []
