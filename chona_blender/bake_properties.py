@@ -88,7 +88,7 @@ class BakeSettings:
     )
 
     detach: bpy.props.BoolProperty(  # type: ignore[valid-type]
-        name="Continue Without Blender",
+        name="Keep Running",
         description="A bake or training goes on when Blender is closed or crashes, and the next Blender that opens "
         "this file shows how far it is. Off, it ends with Blender",
         default=False,

@@ -148,7 +148,7 @@ def killed_words(record: JobRecord | None, lines: Sequence[str]) -> str:
     Args:
         lines: what it has printed.
     """
-    words = "it was killed, or the computer went down"
+    words = "the worker was killed, or the computer went down"
     if record is not None:
         words += f", after {record.written}"
     said = next((line for line in reversed(lines) if not line.startswith("{")), "")

@@ -15,8 +15,6 @@ from itertools import pairwise
 from chona_model import commands, farm_commands, journal, process, study_commands
 from chona_model.arguments import UsageError, glue_frames
 from chona_model.command_line import make_parser
-from chona_model.detached import start_detached
-from chona_model.formats.job_file import JobFile
 from chona_model.launch import read_launch
 from chona_model.memory import was_short_of_memory
 from chona_model.progress import Cancelled, Progress
@@ -36,6 +34,7 @@ COMMANDS = {
     "farm": farm_commands.farm_command,
     "stand-in": commands.stand_in_command,
     "serve": commands.serve_command,
+    "jobs": commands.jobs_command,
     "info": commands.info_command,
     "check-data": commands.check_data_command,
     "doctor": commands.doctor_command,
@@ -75,11 +74,15 @@ def _run(words: list[str], progress: Progress) -> int:
                 "only train and add work together: start the others without torchrun"
             )
         if getattr(arguments, "detach", False):
+            from chona_model.detached import start_detached
+
             return start_detached(words, arguments, progress)
         with progress.cancel if hasattr(arguments, "progress") else contextlib.nullcontext():
             if getattr(arguments, "until_closed", False):
                 process.end_with_parent(progress.cancel.request)
             if getattr(arguments, "progress_file", None) is not None and not progress.quiet:
+                from chona_model.formats.job_file import JobFile
+
                 progress.record = JobFile(arguments.progress_file, words, progress.cancel.request)
             if hasattr(arguments, "progress"):
                 journal.note_start(words)

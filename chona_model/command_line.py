@@ -178,6 +178,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     served.add_argument("--model", type=Path, required=True, metavar="FILE")
     served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=DEVICE_HELP)
 
+    jobs = add("jobs", "say how far the jobs of a folder are that were started with --detach")
+    jobs.add_argument("folder", type=Path, metavar="DIR", help="the --out of bakes, or of a training")
+    jobs.add_argument("--stop", action="store_true", help="end those that run, after their step")
+
     info = add("info", "show what a model file holds")
     info.add_argument("file", type=Path, metavar="FILE")
     info.add_argument("--json", action="store_true", help="as JSON")

@@ -1,9 +1,8 @@
-"""``--detach``: a command goes on in a process of its own, which ends with nobody."""
+"""``--detach``: a command goes on in a process of its own, which ends with nobody; ``chona jobs`` says how far."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import chona_model
 from chona_model.arguments import UsageError, writable_folder
 from chona_model.command_parts import FAILED, finish
 from chona_model.formats.folder_lock import FolderBusyError
-from chona_model.formats.job_file import bake_file, is_running, train_file
+from chona_model.formats.job_file import bake_file, is_running, job_files, read_job, train_file
 from chona_model.launch import read_launch
 from chona_model.progress import Progress
 
@@ -55,9 +54,44 @@ def start_detached(words: Sequence[str], arguments: argparse.Namespace, progress
         return child.returncode if child.returncode > 0 else FAILED
     stop = path.with_suffix(".stop")
     return finish(
-        progress, f"process {child.pid} goes on by itself; how far it is stands in {path}; create {stop} to end it",
+        progress, f"process {child.pid} goes on by itself; 'chona jobs {out}' says how far it is, with --stop it ends",
         pid=child.pid, file=str(path), stop=str(stop),
     )  # fmt: skip
+
+
+def describe_jobs(folder: Path, stop: bool) -> list[str]:
+    """A line for every job that was left in a folder.
+
+    Args:
+        stop: ask those that run to end after their step.
+
+    Raises:
+        UsageError: there is none.
+    """
+    found = [(path, content) for path in job_files(folder) if (content := read_job(path)) is not None]
+    if not found:
+        raise UsageError(f"{folder} holds no job of --detach; expected the --out of a bake or a training")
+    lines = []
+    for path, content in found:
+        runs = is_running(path)
+        if runs and stop:
+            path.with_suffix(".stop").touch()
+        lines.append(_sentence(path, content, runs, stop))
+    return lines
+
+
+def _sentence(path: Path, content: dict[str, Any], runs: bool, asked: bool) -> str:
+    name = path.stem.removeprefix(".chona-").replace("-", " ", 1)
+    told, end, owner = content["progress"] or content["start"] or {}, content["end"], content["owner"]
+    done = f"{told.get('done', 0):g} of {told.get('total') or 0:g}" if told else "it has not begun"
+    if runs:
+        left = f", {told['eta']:.0f} s left" if told.get("eta") is not None else ""
+        who = f"process {owner['pid']} on {owner['host']} since {content['since']}"
+        return f"{name}: {done}{left}; {who}{'; it ends after its step' if asked else ''}"
+    if end is None:
+        return f"{name}: killed after {content['written']}, {done}; the same command goes on"
+    words = {"result": "done", "cancelled": f"cancelled, {done}"}.get(end["event"], f"failed: {end.get('message')}")
+    return f"{name}: {words}; {content['written']}"
 
 
 def _shot_name(path: Path) -> str:
@@ -80,7 +114,5 @@ def _own_session() -> dict[str, Any]:
 
 def _pid_in(path: Path) -> int | None:
     """The process that wrote the file last; None where there is none."""
-    try:
-        return int(json.loads(path.read_text("utf-8"))["owner"]["pid"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    content = read_job(path)
+    return None if content is None else int(content["owner"]["pid"])

@@ -83,7 +83,7 @@ def draw_job(layout: bpy.types.UILayout) -> None:
     box.progress(factor=job.share, text=f"{100.0 * job.share:.0f} %")
     box.label(text=job.text)
     if job.worker.goes_on:
-        box.label(text="Continues without Blender", icon="UNLINKED")
+        box.label(text="Keeps running without Blender", icon="UNLINKED")
     box.operator("chona.cancel", icon="CANCEL")
 
 

@@ -18,10 +18,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from chona_model import process
 from chona_model.formats.atomic import WriteError, write_bytes
 from chona_model.formats.folder_lock import FolderBusyError, try_lock
-from chona_model.owner import this_process
+from chona_model.owner import Owner, this_process
 
 VERSION = 1
 LOOK_SECONDS, BEAT_SECONDS = 0.5, 5.0
@@ -32,6 +34,8 @@ STOP_SECONDS = 10.0
 """For the step that a job is in when it is asked to end."""
 MOST_LOG = 1 << 17
 """Bytes of ``.log``; when it is full it begins anew."""
+LARGEST = 1 << 20
+"""Bytes of a file that are read."""
 END_EVENTS = ("result", "cancelled", "error")
 
 
@@ -43,6 +47,40 @@ def bake_file(out: Path, shot: str) -> Path:
 def train_file(out: Path) -> Path:
     """The file of a training into ``out``."""
     return out / ".chona-train.json"
+
+
+def job_files(out: Path) -> list[Path]:
+    """The files of all jobs that have been left in a folder."""
+    found = sorted(out.glob(".chona-bake-*.json"))
+    return [*found, *(path for path in [train_file(out)] if path.is_file())]
+
+
+def read_job(path: Path) -> dict[str, Any] | None:
+    """What a job has said in its file; None where there is none, or something else."""
+    try:
+        with path.open("rb") as file:
+            content = msgspec.json.decode(file.read(LARGEST), type=_Said)
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+    return msgspec.to_builtins(content) if content.version == VERSION else None
+
+
+class _Event(msgspec.Struct):
+    event: str
+    done: float | None = None
+    total: float | None = None
+    eta: float | None = None
+    message: str | None = None
+
+
+class _Said(msgspec.Struct):
+    version: int
+    owner: Owner
+    since: str
+    written: str
+    start: _Event | None
+    progress: _Event | None
+    end: _Event | None
 
 
 def is_running(path: Path) -> bool:
