@@ -15,15 +15,17 @@ from .bake_frames import checked_frames
 from .bake_properties import KEEP, OVERWRITE, UPDATE
 from .blur import scene_blur
 from .compositing_options import options_of
+from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .frames import describe_frames
+from .job_record import bake_record
 from .output import Output, absolute, bake_output
 from .rig.armature import create_rig
 from .rig.cast import ActorPlan
 from .shot import sample_actors
 from .shot_file import Shot, save_shot
 from .shot_job import ShotJob
-from .worker import chona_command
+from .worker import chona_command, detached_command
 from .worker_check import check_worker
 
 if TYPE_CHECKING:
@@ -79,12 +81,13 @@ def make_rig(scene: bpy.types.Scene, object_names: list[str] | None = None) -> s
     return f"Made {' and '.join(made)}"
 
 
-def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = False) -> Bake:
+def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = False, detach: bool = False) -> Bake:
     """Check everything, write the shot beside the frames and start the worker on it.
 
     Args:
         composite: the frames are for the compositor, so what it needs must be among their passes.
         current: bake the scene's current frame alone, and leave the shot of the whole range as it is.
+        detach: the worker goes on when Blender ends; not of the current frame alone, whose shot goes with Blender.
     """
     settings = settings_of(scene)
     if composite and not settings.passes.depth:
@@ -107,7 +110,12 @@ def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = 
     arguments += ["--preset", preset, *device(), *EXISTING_OPTIONS[settings.existing]]
     if settings.max_error > 0.0:
         arguments += ["--max-error", f"{settings.max_error:.6g}"]
-    job = ShotJob(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments), place)
+    title = f"Bake {name} ({preset}, {describe_frames(frames)})"
+    if detach:
+        record = bake_record(folder, name)
+        job = ShotJob(title, DetachedWorker.start(detached_command(python, arguments, record), record))
+    else:
+        job = ShotJob(title, chona_command(python, arguments), place)
     return Bake(job, output, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
 
 

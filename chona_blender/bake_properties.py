@@ -87,6 +87,13 @@ class BakeSettings:
         default=True,
     )
 
+    detach: bpy.props.BoolProperty(  # type: ignore[valid-type]
+        name="Keep Running",
+        description="A bake or training goes on when Blender is closed or crashes, and the next Blender that opens "
+        "this file shows how far it is. Off, it ends with Blender",
+        default=False,
+    )
+
     live_opacity: bpy.props.FloatProperty(  # type: ignore[valid-type]
         name="Opacity",
         description="How much the live preview covers; less than 1 lets the bones under it shine through",

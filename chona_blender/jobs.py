@@ -15,19 +15,26 @@ from typing import Any
 
 import bpy
 
+from .detached_worker import DetachedWorker
 from .errors import ChonaError
-from .worker import Worker, last_words
+from .worker import Worker
 
 POLL_SECONDS = 0.1
 RUNNING, DONE, FAILED, CANCELLED = "RUNNING", "DONE", "FAILED", "CANCELLED"
 
 
 class Job:
-    """A worker with what it has reported so far."""
+    """A worker with what it has reported so far.
+
+    Args:
+        command: of the worker, or one that is there already and goes on without Blender.
+    """
 
     remedy = "cancel it"
 
-    def __init__(self, title: str, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, title: str, command: Sequence[str] | DetachedWorker, environment: dict[str, str] | None = None
+    ) -> None:
         self.title = title
         self.status = RUNNING
         self.done = 0.0
@@ -39,7 +46,7 @@ class Job:
         self.error = ""
         self.code: int | None = None
         self.started = time.monotonic()
-        self.worker = Worker(command, environment)
+        self.worker = command if isinstance(command, DetachedWorker) else Worker(command, environment)
 
     @property
     def share(self) -> float:
@@ -81,7 +88,7 @@ class Job:
         elif self.worker.cancelled_at is not None:
             self.status, self.error = CANCELLED, f"{self.title} was cancelled"
         else:
-            self.status, self.error = FAILED, self.error or last_words(code, self.worker.lines)
+            self.status, self.error = FAILED, self.error or self.worker.last_words(code)
             if code == 0:
                 self.error += "; expected a result"
         return True
@@ -103,7 +110,7 @@ class Job:
         self.worker.cancel()
 
     def close(self) -> None:
-        """End the worker now, whatever it does."""
+        """End the worker now, whatever it does; one that goes on without Blender is left to itself."""
         self.worker.close()
         self.poll()
 
@@ -278,15 +285,26 @@ def sentence(error: ChonaError) -> str:
     return text[:1].upper() + text[1:]
 
 
-class _LastError:
-    text = ""
+class _Last:
+    error = ""
+    news: list[str] = []
 
 
 def remember_error(text: str) -> None:
     """Keep the words of the last failure for the panel."""
-    _LastError.text = text
+    _Last.error = text
 
 
 def last_error() -> str:
     """The words of the last failure, or nothing."""
-    return _LastError.text
+    return _Last.error
+
+
+def add_news(text: str) -> None:
+    """Keep for the panel what happened while Blender was closed."""
+    _Last.news.append(text)
+
+
+def news() -> list[str]:
+    """What happened while Blender was closed and was not dismissed yet."""
+    return _Last.news

@@ -27,7 +27,7 @@ def add_options(
 def train(scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     """0 trained; 1 failed or stopped, with a checkpoint; 2 it cannot start, or the data cannot be used."""
     row = train_queue.add(scene)
-    row.preview = 0.0  # nobody looks
+    row.preview, row.detach = 0.0, False  # nobody looks, and the command's end is waited for
     return run(train_queue.start(row))
 
 

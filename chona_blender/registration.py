@@ -23,6 +23,7 @@ from . import (
     panels,
     part_properties,
     passes_properties,
+    pick_up,
     pictures,
     preferences,
     presets,
@@ -36,8 +37,9 @@ from . import (
     worker,
     worker_setup,
 )
-from .jobs import board, remember_error
+from .jobs import board, news, remember_error
 from .operators import bake, capture, composite, costs, diagnose, preview, rig, setup_worker, standin, train
+from .operators import pick_up as pick_up_operators
 from .operators import train_data as train_data_operators
 
 CLASSES: tuple[type, ...] = (
@@ -60,6 +62,7 @@ CLASSES: tuple[type, ...] = (
     *capture.CLASSES,
     *train_rows.CLASSES,
     *train.CLASSES,
+    *pick_up_operators.CLASSES,
     *train_data_operators.CLASSES,
     *diagnose.CLASSES,
     *setup_worker.CLASSES,
@@ -95,6 +98,7 @@ STEPS: tuple[Step, ...] = (
     Step(train_data.forget, train_data.forget),
     Step(train_rows.register, train_rows.unregister),
     Step(train_queue.forget, train_queue.forget),
+    Step(pick_up.register, pick_up.unregister),
     Step(live.register, live.unregister),
     Step(worker_setup.refresh, worker_setup.forget),
     Step(commands.register, commands.unregister),
@@ -127,5 +131,6 @@ def unregister() -> None:
     worker.close_all()
     board.current = board.last = None
     remember_error("")
+    news().clear()
     while _done:
         _done.pop().off()

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from tempfile import TemporaryDirectory
 
+from .detached_worker import DetachedWorker
 from .jobs import Job
 
 
 class ShotJob(Job):
     """A job whose shot stands in a folder that goes with its end; without one the shot stays."""
 
-    def __init__(self, title: str, command: Sequence[str], place: TemporaryDirectory[str] | None = None) -> None:
+    def __init__(
+        self, title: str, command: Sequence[str] | DetachedWorker, place: TemporaryDirectory[str] | None = None
+    ) -> None:
         self._place = place
         super().__init__(title, command)
 

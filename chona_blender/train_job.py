@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from .detached_worker import DetachedWorker
 from .jobs import CANCELLED, DONE, RUNNING, Job, duration
 from .train_view import TrainView
 
@@ -30,7 +31,7 @@ class TrainJob(Job):
     remedy = "pause it under Train"
 
     def __init__(
-        self, title: str, command: Sequence[str], run: Path, key: str, told: Callable[[TrainJob], None]
+        self, title: str, command: Sequence[str] | DetachedWorker, run: Path, key: str, told: Callable[[TrainJob], None]
     ) -> None:
         self.run, self.key, self.told = run, key, told
         self.view = TrainView(run)
@@ -93,8 +94,8 @@ class TrainJob(Job):
         self._stopped = self._stopped or event["event"] == "cancelled"
 
     def close(self) -> None:
-        """End the worker now, with a checkpoint where that does not take long."""
-        if self.status == RUNNING:
+        """End the worker now, with a checkpoint where that does not take long, unless it goes on without Blender."""
+        if self.status == RUNNING and not self.worker.goes_on:
             self.pause()
             end = time.monotonic() + CLOSING_SECONDS
             while time.monotonic() < end and not self.poll():

@@ -8,12 +8,14 @@ from pathlib import Path
 import bpy
 
 from . import actions, jobs, train_rows
+from .detached_worker import DetachedWorker
 from .errors import ChonaError
+from .job_record import train_record
 from .train_job import TrainJob
 from .train_properties import SCANS
 from .train_rows import CANCELLED, FAILED, PAUSED, RUNNING, WAITING, CHONA_PG_training
 from .train_view import MODEL
-from .worker import chona_command
+from .worker import chona_command, detached_command
 
 CHECKPOINT = "checkpoint.safetensors"
 WAKE_SECONDS = 0.5
@@ -52,6 +54,7 @@ def add(scene: bpy.types.Scene) -> CHONA_PG_training:
     row.minutes, row.steps, row.resume = settings.minutes, settings.train_steps, settings.resume
     row.preview, row.object_size = settings.preview_every, settings.object_size
     row.base, row.identities = str(base or ""), ",".join(identities)
+    row.detach = settings.detach
     _Queue.held = False
     if not any(each.state == RUNNING for each in list_.rows):  # its curves stay in view
         train_rows.select(row.key)
@@ -96,7 +99,14 @@ def start(row: CHONA_PG_training) -> TrainJob:
     """
     key = row.key
     try:
-        job = TrainJob(f"Train {row.name}", _command(row), Path(row.run_folder), key, follow)
+        run, arguments = Path(row.run_folder), _arguments(row)
+        python = actions.worker_python()
+        if row.detach:
+            record = train_record(run)
+            worker = DetachedWorker.start(detached_command(python, arguments, record), record)
+            job = TrainJob(f"Train {row.name}", worker, run, key, follow)
+        else:
+            job = TrainJob(f"Train {row.name}", chona_command(python, arguments), run, key, follow)
     except ChonaError as error:
         ended = train_rows.row_of(key)
         if ended is not None:
@@ -107,7 +117,7 @@ def start(row: CHONA_PG_training) -> TrainJob:
     return job
 
 
-def _command(row: CHONA_PG_training) -> list[str]:
+def _arguments(row: CHONA_PG_training) -> list[str]:
     if not Path(row.data_folder).is_dir():
         raise ChonaError(f"there is no data folder {row.data_folder} any more; remove this training, and add it again")
     actions.writable_folder(row.run_folder, "result folder")
@@ -125,7 +135,7 @@ def _command(row: CHONA_PG_training) -> list[str]:
         arguments += ["--preview-every", f"{row.preview:g}"]
     if row.resume:
         arguments.append("--resume")
-    return chona_command(actions.worker_python(), arguments)
+    return arguments
 
 
 def follow(job: TrainJob) -> None:

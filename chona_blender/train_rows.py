@@ -23,7 +23,7 @@ STATES = (
 )
 SETTINGS = (
     "data_folder", "data_format", "sequences", "run_folder", "base", "identities", "object_size", "method", "minutes",
-    "steps", "preview", "resume",
+    "steps", "preview", "resume", "detach",
 )  # fmt: skip
 SAVED = ("key", "name", "state", "share", "words", *SETTINGS)
 
@@ -48,6 +48,7 @@ class CHONA_PG_training(bpy.types.PropertyGroup):
     steps: bpy.props.IntProperty(name="Steps", description="How many; 0 goes by the time")  # type: ignore[valid-type]
     preview: bpy.props.FloatProperty(name="Picture", description="Seconds between two; 0 for none")  # type: ignore[valid-type]
     resume: bpy.props.BoolProperty(name="Resume", description="Goes on from its checkpoint")  # type: ignore[valid-type]
+    detach: bpy.props.BoolProperty(name="Detach", description="Goes on when Blender ends")  # type: ignore[valid-type]
 
 
 def _selected(_self: "CHONA_PG_trainings", _context: bpy.types.Context) -> None:
@@ -99,7 +100,8 @@ def as_text() -> str:
 
 
 def from_text(text: str) -> None:
-    """Show a saved list.  What ran when the file was saved is paused: its process ended with its Blender."""
+    """Show a saved list.  What ran when the file was saved is paused: its process ended with its Blender, or else
+    ``pick_up`` finds it."""
     shown = trainings()
     shown.rows.clear()
     for saved in _understood(text):

@@ -89,11 +89,11 @@ def worker_environment() -> dict[str, str]:
 
 
 def start_process(command: Sequence[str], environment: dict[str, str] | None, **pipes: Any) -> subprocess.Popen[Any]:
-    """Start a worker in a process group of its own, its output in pipes.
+    """Start a worker in a session or process group of its own, its output in pipes.
 
     Args:
         environment: default `worker_environment()`.
-        pipes: further arguments of Popen: standard input, text or bytes.
+        pipes: further arguments of Popen: standard input, text or bytes, output that goes elsewhere.
 
     Raises:
         ChonaError: the program does not start.
@@ -106,10 +106,8 @@ def start_process(command: Sequence[str], environment: dict[str, str] | None, **
     try:
         return subprocess.Popen(
             command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
             env=worker_environment() if environment is None else environment,
-            **pipes,
+            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **pipes},
             **own_group,
         )
     except OSError as error:
@@ -141,6 +139,9 @@ def last_words(code: int, lines: Iterable[str]) -> str:
 
 class Worker:
     """One running worker process. Call `close` always, it is harmless when all has ended."""
+
+    goes_on = False
+    """Whether the process goes on when this is closed."""
 
     def __init__(self, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
         self.command = [str(part) for part in command]
@@ -206,6 +207,10 @@ class Worker:
             self._process.wait(timeout=seconds)
         return self.code()
 
+    def last_words(self, code: int) -> str:
+        """How the process ended, and the last that it said."""
+        return last_words(code, self.lines)
+
     def cancel(self) -> None:
         """Ask the worker to stop after its current step. `press` ends it when it does not."""
         if self.cancelled_at is None:
@@ -237,7 +242,7 @@ class Closable(Protocol):
     """What `close_all` ends."""
 
     def close(self) -> None:
-        """End the process, and wait until it is gone."""
+        """End the process, and wait until it is gone, or leave it to itself where it is meant to go on."""
 
 
 running: set[Closable] = set()
@@ -245,7 +250,7 @@ running: set[Closable] = set()
 
 
 def close_all() -> None:
-    """End every worker: when Blender quits or the add-on is switched off."""
+    """End every worker that is not meant to go on: when Blender quits or the add-on is switched off."""
     for worker in list(running):
         worker.close()
 
@@ -253,3 +258,8 @@ def close_all() -> None:
 def chona_command(python: Path, arguments: Sequence[str]) -> list[str]:
     """The command line of a `chona` job that reports in JSON lines."""
     return [str(python), "-m", "chona_model", *arguments, "--progress", "json", UNTIL_CLOSED]
+
+
+def detached_command(python: Path, arguments: Sequence[str], record: Path) -> list[str]:
+    """The command line of a `chona` job that reports in a file, and does not end with Blender."""
+    return [str(python), "-m", "chona_model", *arguments, "--progress-file", str(record)]

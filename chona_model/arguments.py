@@ -84,6 +84,18 @@ def sources_of(given: Sequence[tuple[str, Any]] | None) -> tuple[Source, ...]:
     return tuple(Source(**group) for group in groups)
 
 
+def job_file(text: str) -> Path:
+    """``FILE.json``; what else belongs to the job has the same name with another ending.
+
+    Raises:
+        argparse.ArgumentTypeError: another ending.
+    """
+    path = Path(text)
+    if path.suffix != ".json":
+        raise argparse.ArgumentTypeError(f"{text} does not end in .json")
+    return path.absolute()
+
+
 def frame_list(text: str) -> tuple[int, ...]:
     """``1-50,60`` as frame numbers, increasing, each once; ``-5--1`` are the five frames before 0.
 

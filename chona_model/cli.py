@@ -34,6 +34,7 @@ COMMANDS = {
     "farm": farm_commands.farm_command,
     "stand-in": commands.stand_in_command,
     "serve": commands.serve_command,
+    "jobs": commands.jobs_command,
     "info": commands.info_command,
     "check-data": commands.check_data_command,
     "doctor": commands.doctor_command,
@@ -56,6 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Nobody reads any more: keep Python from failing once more when it flushes stdout at exit.
         sys.stdout = None
         return FAILED
+    finally:
+        if progress.record is not None:
+            progress.record.close()
 
 
 def _run(words: list[str], progress: Progress) -> int:
@@ -69,9 +73,17 @@ def _run(words: list[str], progress: Progress) -> int:
                 f"torchrun has started {read_launch().size} processes of '{words[0]}', which would all do the same; "
                 "only train and add work together: start the others without torchrun"
             )
+        if getattr(arguments, "detach", False):
+            from chona_model.detached import start_detached
+
+            return start_detached(words, arguments, progress)
         with progress.cancel if hasattr(arguments, "progress") else contextlib.nullcontext():
             if getattr(arguments, "until_closed", False):
                 process.end_with_parent(progress.cancel.request)
+            if getattr(arguments, "progress_file", None) is not None and not progress.quiet:
+                from chona_model.formats.job_file import JobFile
+
+                progress.record = JobFile(arguments.progress_file, words, progress.cancel.request)
             if hasattr(arguments, "progress"):
                 journal.note_start(words)
             code = arguments.run(arguments, progress)
@@ -97,7 +109,8 @@ def _run(words: list[str], progress: Progress) -> int:
 
 def _mode(words: Sequence[str]) -> str:
     """The progress mode before anything is parsed, so that parsing errors are reported in it too."""
-    return "json" if "--progress=json" in words or ("--progress", "json") in pairwise(words) else "terminal"
+    asked = "--progress=json" in words or ("--progress", "json") in pairwise(words)
+    return "json" if asked or any(word.startswith("--progress-file") for word in words) else "terminal"
 
 
 def _is_house_error(error: Exception) -> bool:

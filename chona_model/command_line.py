@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from chona_model.arguments import Parser, SourceAction, frame_list, name_list, number, whole
+from chona_model.arguments import Parser, SourceAction, frame_list, job_file, name_list, number, whole
 from chona_model.passes import DEFAULT_PASSES, PASSES
 from chona_model.progress import MODES, Progress
 from chona_model.settings import BLURS, MOST_BLUR_SAMPLES, PRESETS
@@ -50,6 +50,16 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
             "--until-closed", action="store_true",
             help="end when standard input is closed: with the program that started this",
         )  # fmt: skip
+        command.add_argument(
+            "--progress-file", type=job_file, metavar="FILE.json",
+            help="say in this file, instead of on stdout, how far it is; a file FILE.stop ends it",
+        )  # fmt: skip
+
+    def add_detach(command: argparse.ArgumentParser) -> None:
+        command.add_argument(
+            "--detach", action="store_true",
+            help="go on in a process that ends with nobody; says which, where it tells how far it is, how to end it",
+        )  # fmt: skip
 
     train = add("train", "learn a model from captures", long=True)
     _add_sources(train, "repeat it with its own --format and --sequences or --split to train jointly")
@@ -58,9 +68,12 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     train.add_argument("--preset", choices=TRAIN_PRESETS, default="fast", help="the paper's take hours")
     add_training(train, steps="how many steps to train")
 
+    add_detach(train)
+
     addition = add("add", "add a person or an object, seen alone, to a model that stays as it is", long=True)
     _add_sources(addition, "repeat it to add from several")
     add_add(addition)
+    add_detach(addition)
 
     evaluate = add("evaluate", "measure a model on views it has not seen", long=True)
     evaluate.add_argument("--model", type=Path, required=True, metavar="FILE")
@@ -113,6 +126,8 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
         help=f"of {', '.join(PASSES)} (default: {', '.join(DEFAULT_PASSES.names)}; combined always)",
     )  # fmt: skip
 
+    add_detach(bake)
+
     trade = add("trade", "measure what speed costs with a model, and find the best settings", long=True)
     trade.add_argument("--model", type=Path, required=True, metavar="FILE")
     _add_sources(trade, "views that training did not see; repeat it to measure on several")
@@ -154,6 +169,10 @@ def make_parser(commands_of: Mapping[str, Command]) -> Parser:
     served = add("serve", "stay up and render poses that come in on standard input (for the add-on's previews)")
     served.add_argument("--model", type=Path, required=True, metavar="FILE")
     served.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=DEVICE_HELP)
+
+    jobs = add("jobs", "say how far the jobs of a folder are that were started with --detach")
+    jobs.add_argument("folder", type=Path, metavar="DIR", help="the --out of bakes, or of a training")
+    jobs.add_argument("--stop", action="store_true", help="end those that run, after their step")
 
     info = add("info", "show what a model file holds")
     info.add_argument("file", type=Path, metavar="FILE")

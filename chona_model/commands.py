@@ -207,6 +207,15 @@ def serve_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     return DONE
 
 
+def jobs_command(arguments: argparse.Namespace, _progress: Progress) -> int:
+    """Describes jobs that go on by themselves."""
+    from chona_model.detached import describe_jobs
+
+    lines = describe_jobs(arguments.folder, arguments.stop)
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    return DONE
+
+
 def info_command(arguments: argparse.Namespace, _progress: Progress) -> int:
     """Describes a model file."""
     from chona_model.info import describe, to_text

@@ -35,15 +35,20 @@ def end_with_parent(request: Callable[[], None]) -> None:
         with contextlib.suppress(OSError):
             while os.read(0, 4096):  # not through sys.stdin, whose lock a thread must not hold at the end
                 pass
-        request()
-        if sys.platform != "win32":  # the system's own alarm rings also where no thread gets its turn any more
-            signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS + 0.5)
-        time.sleep(GRACE_SECONDS)
-        if sys.platform == "win32":
-            os._exit(1)
-        os.killpg(0, signal.SIGKILL) if os.getpgrp() == os.getpid() else os.kill(os.getpid(), signal.SIGKILL)
+        end_soon(request, GRACE_SECONDS)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def end_soon(request: Callable[[], None], seconds: float) -> None:
+    """Asks the job to end after its step, and kills this process with all that it has started ``seconds`` later."""
+    request()
+    if sys.platform != "win32":  # the system's own alarm rings also where no thread gets its turn any more
+        signal.setitimer(signal.ITIMER_REAL, seconds + 0.5)
+    time.sleep(seconds)
+    if sys.platform == "win32":
+        os._exit(1)
+    os.killpg(0, signal.SIGKILL) if os.getpgrp() == os.getpid() else os.kill(os.getpid(), signal.SIGKILL)
 
 
 def tune() -> None:

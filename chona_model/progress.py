@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from types import FrameType, TracebackType
-from typing import Any, Self, TextIO
+from typing import Any, Protocol, Self, TextIO
 
 MODES = ("terminal", "json")
 UPDATE_SECONDS = 0.2
@@ -74,6 +74,16 @@ class Cancel:
             self._interrupted = True
 
 
+class Record(Protocol):
+    """Takes events in the place of stdout."""
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Keeps an event."""
+
+    def close(self) -> None:
+        """Keeps what has not been kept yet."""
+
+
 class Progress:
     """Reports one job.
 
@@ -87,6 +97,7 @@ class Progress:
 
     Attributes:
         quiet: whether nothing is written: of several processes of one job, one reports.
+        record: takes JSON's events where nobody reads stdout.
         job: name given to ``start``.
         ended: ``result``, ``cancelled`` or ``error`` once the job has ended, else None.
     """
@@ -105,6 +116,7 @@ class Progress:
         self.mode = mode
         self.cancel = Cancel() if cancel is None else cancel
         self.quiet = False
+        self.record: Record | None = None
         self.job = ""
         self.ended: str | None = None
         self._output = sys.stdout if output is None else output
@@ -202,6 +214,9 @@ class Progress:
 
     def _write(self, event: Mapping[str, Any]) -> None:
         if self.quiet:
+            return
+        if self.record is not None:
+            self.record.take(_plain(event))
             return
         try:
             self._output.write(json.dumps(_plain(event), allow_nan=False, ensure_ascii=False) + "\n")

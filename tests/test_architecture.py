@@ -15,7 +15,7 @@ FLOORS = (
     ("__main__",),
     ("cli",),
     ("commands", "study_commands"),
-    ("farm_commands",),
+    ("farm_commands", "detached"),
     ("command_parts",),
     ("serve",),
     ("trade", "reproduce", "bundle"),

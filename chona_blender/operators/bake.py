@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 
-from .. import actions, frames_there, jobs
+from .. import actions, frames_there, jobs, pick_up
 from ..baked_image import baked_frames, baked_image, follow
 from ..errors import ChonaError
-from ..events import need
 from ..output import Output, bake_output, output_now
 from ..readiness import why_not_ready
 from .image_editor import show_image
@@ -21,7 +18,7 @@ def why_no_bake(scene: bpy.types.Scene) -> str:
     return jobs.busy() or why_not_ready(scene)
 
 
-class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_bake(pick_up.DetachableOperator, bpy.types.Operator):
     """Render the posed actors to EXR frames in the worker; Blender stays usable meanwhile"""
 
     bl_idname = "chona.bake"
@@ -33,7 +30,7 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
         description="Bake the frame that the scene stands at, and no others",
         options={"SKIP_SAVE"},
     )
-    _bake: actions.Bake | None = None
+    _output: Output | None = None
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -48,41 +45,53 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
     def start(self, context: bpy.types.Context) -> jobs.Job:
         scene = context.scene
         self._scene = scene.name
+        place = None if self.current else pick_up.bake_place(scene)
+        running = pick_up.running_at(place)
+        if running is not None:
+            self._output = place.output
+            self.report({"INFO"}, f"{running.title} goes on already: this is how far it is")
+            return running
         composited = scene.chona.composite_after and not self.current
-        self._bake = actions.start_bake(scene, composite=composited, current=self.current)
-        if self._bake.warnings:
-            self.report(
-                {"WARNING"}, f"{len(self._bake.warnings)} bones are scaled or sheared: {self._bake.warnings[0]}"
-            )
-        return self._bake.job
+        detach = scene.chona.detach and not self.current
+        bake = actions.start_bake(scene, composite=composited, current=self.current, detach=detach)
+        self._output = bake.output
+        if bake.warnings:
+            self.report({"WARNING"}, f"{len(bake.warnings)} bones are scaled or sheared: {bake.warnings[0]}")
+        return bake.job
 
     def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
-        frames_there.look_again()
-        output = self._bake.output
-        words = f"{baked_words(job.result)} in {output.folder}{actions.error_words(job.result)}"
-        scene = bpy.data.scenes.get(self._scene)
-        if scene is None:
-            return words
-        if self.current:
-            show_frames(context, output, new_window=False)
-        elif scene.chona.composite_after:
-            try:
-                words += f"; composited as {actions.add_composite(scene).group.name}"
-            except ChonaError as error:
-                raise ChonaError(f"{words}, but not composited: {error}") from error
-        return words
+        return finish_bake(context, job, self._scene, self._output, self.current)
 
     def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
-        frames_there.look_again()  # a bake that was cancelled has left frames too
+        bake_ended()
         return super()._ended(context, job)
 
 
-def baked_words(result: dict[str, Any]) -> str:
-    """`12 frames written, 38 were up to date`, of the worker's result."""
-    need(result, "written", "skipped")
-    written, skipped = result["written"], result["skipped"]
-    words = f"{written} frame{'s' * (written != 1)} written"
-    return f"{words}, {skipped} left as they were" if skipped else words
+def finish_bake(
+    context: bpy.types.Context, job: jobs.Job, scene_name: str, output: Output, current: bool = False
+) -> str:
+    """Show or composite what was baked; words for a report.
+
+    Raises:
+        ChonaError: it cannot be composited.
+    """
+    words = f"{pick_up.baked_words(job.result)} in {output.folder}{actions.error_words(job.result)}"
+    scene = bpy.data.scenes.get(scene_name)
+    if scene is None:
+        return words
+    if current:
+        show_frames(context, output, new_window=False)
+    elif scene.chona.composite_after:
+        try:
+            words += f"; composited as {actions.add_composite(scene).group.name}"
+        except ChonaError as error:
+            raise ChonaError(f"{words}, but not composited: {error}") from error
+    return words
+
+
+def bake_ended() -> None:
+    """Frames are there that were not, also of a bake that was cancelled."""
+    frames_there.look_again()
 
 
 def show_frames(context: bpy.types.Context, output: Output, new_window: bool) -> None:

@@ -94,9 +94,30 @@ class CHONA_OT_dismiss_error(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class CHONA_OT_dismiss_news(bpy.types.Operator):
+    """Take what happened while Blender was closed off the panel"""
+
+    bl_idname = "chona.dismiss_news"
+    bl_label = "Dismiss"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        if not jobs.news():
+            cls.poll_message_set("Nothing has happened")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        jobs.news().clear()
+        jobs.redraw_sidebars(context)
+        return {"FINISHED"}
+
+
 CLASSES = (
     CHONA_OT_check_worker,
     CHONA_OT_open_output,
     CHONA_OT_copy_report,
     CHONA_OT_dismiss_error,
+    CHONA_OT_dismiss_news,
 )

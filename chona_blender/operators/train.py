@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
-from .. import jobs, model_cache, train_queue, train_rows
+from .. import jobs, model_cache, pick_up, train_queue, train_rows
 from ..errors import ChonaError
 from ..output import absolute
 from ..readiness import NO_CAPTURES
@@ -33,7 +35,7 @@ class CHONA_OT_train(bpy.types.Operator):
         return _go_on(self, context)
 
 
-class CHONA_OT_run_trainings(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_run_trainings(pick_up.DetachableOperator, bpy.types.Operator):
     """Start the first training that waits; the others follow"""
 
     bl_idname = "chona.run_trainings"
@@ -53,31 +55,42 @@ class CHONA_OT_run_trainings(jobs.JobOperator, bpy.types.Operator):
             result = super().execute(context)
         return result
 
-    def start(self, _context: bpy.types.Context) -> TrainJob:
+    def start(self, _context: bpy.types.Context) -> jobs.Job:
         row = train_queue.next_waiting()
         if row is None:
             raise ChonaError("no training waits; add one with Train")
         try:
-            return train_queue.start(row)
+            return pick_up.running_at(pick_up.train_place(Path(row.run_folder), row.key)) or train_queue.start(row)
         except ChonaError:
             train_queue.wake()
             raise
 
     def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
-        model = job.run / MODEL if isinstance(job, TrainJob) else ""
-        settings = context.scene.chona
-        if not settings.model_path:
-            settings.model_path = str(model)
-        else:
-            model_cache.refresh(settings.model_path)
-        return f"Trained {model}"
+        return finish_training(context, job)
 
     def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
-        train_queue.wake()
-        if job.status == PAUSED:
-            self.report({"INFO"}, f"{job.title} is paused: its checkpoint is written, Resume goes on from it")
-            return {"FINISHED"}
-        return super()._ended(context, job)
+        told = training_ended(self, job)
+        return super()._ended(context, job) if told is None else told
+
+
+def finish_training(context: bpy.types.Context, job: jobs.Job) -> str:
+    """Use the model that was trained where the scene has none; words for a report."""
+    model = job.run / MODEL if isinstance(job, TrainJob) else ""
+    settings = context.scene.chona
+    if not settings.model_path:
+        settings.model_path = str(model)
+    else:
+        model_cache.refresh(settings.model_path)
+    return f"Trained {model}"
+
+
+def training_ended(operator: bpy.types.Operator, job: jobs.Job) -> set[str] | None:
+    """Start what waits; what the operator returns where the training was paused, else None."""
+    train_queue.wake()
+    if job.status != PAUSED:
+        return None
+    operator.report({"INFO"}, f"{job.title} is paused: its checkpoint is written, Resume goes on from it")
+    return {"FINISHED"}
 
 
 def _go_on(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:

@@ -40,6 +40,7 @@ class CHONA_PT_bake(Sidebar, bpy.types.Panel):
             part.prop(settings, "frame_step")
         column.prop(settings, "existing")
         column.prop(settings, "composite_after")
+        column.prop(settings, "detach")
         if output is not None and (settings.use_scene_output or goes_to_temporary(context.scene)):
             where = "Not saved yet, so into " if goes_to_temporary(context.scene) else "Into "
             wrapped(self.layout, f"{where}{output.folder}", icon="FILE_FOLDER", context=context)

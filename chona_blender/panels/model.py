@@ -40,6 +40,7 @@ class CHONA_PT_main(Sidebar, bpy.types.Panel):
         actor = settings.actor
         draw_job(self.layout)
         draw_error(self.layout)
+        draw_news(self.layout)
         if len(settings.actors) > 1:
             row = self.layout.row()
             row.template_list("CHONA_UL_actors", "", settings, "actors", settings, "active_actor", rows=3)
@@ -81,6 +82,8 @@ def draw_job(layout: bpy.types.UILayout) -> None:
     box.label(text=job.title, icon="SORTTIME")
     box.progress(factor=job.share, text=f"{100.0 * job.share:.0f} %")
     box.label(text=job.text)
+    if job.worker.goes_on:
+        box.label(text="Keeps running without Blender", icon="UNLINKED")
     box.operator("chona.cancel", icon="CANCEL")
 
 
@@ -94,6 +97,17 @@ def draw_error(layout: bpy.types.UILayout) -> None:
     row = box.row(align=True)
     row.operator("chona.copy_report", icon="COPYDOWN")
     row.operator("chona.dismiss_error", icon="X")
+
+
+def draw_news(layout: bpy.types.UILayout) -> None:
+    """What became of jobs that went on while Blender was closed."""
+    told = jobs.news()
+    if told:
+        row = layout.box().row()
+        column = row.column()
+        for words in told:
+            wrapped(column, words, icon="INFO", context=bpy.context)
+        row.operator("chona.dismiss_news", text="", icon="X", emboss=False)
 
 
 CLASSES = (CHONA_UL_actors, CHONA_PT_main)

@@ -54,6 +54,7 @@ class CHONA_PT_train(Sidebar, bpy.types.Panel):
         part.prop(settings, "train_steps")
         column.prop(settings, "preview_every")
         column.prop(settings, "resume")
+        column.prop(settings, "detach")
         words = "Add to Queue" if jobs.running() is not None else "Train"
         self.layout.operator("chona.train", text=words, icon="PLAY")
 

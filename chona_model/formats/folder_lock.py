@@ -167,7 +167,7 @@ def lock_folder(
                 held = FolderLock(path, holder)
                 stack.callback(held.release)
                 stack.callback(os.close, handle)
-                _lock(handle)
+                try_lock(handle)
                 os.write(handle, holder.text().encode())
                 clear_leftovers(folder, os.fstat(handle).st_mtime)
         except (FolderBusyError, WriteError):
@@ -210,7 +210,7 @@ def _look(folder: Path) -> list[tuple[Path, Holder | None, bool]]:
             continue
         try:
             holder = parse_holder(os.read(handle, 1 << 22).decode("utf-8", "replace"))
-            free, age = _lock(handle), now - os.fstat(handle).st_mtime
+            free, age = try_lock(handle), now - os.fstat(handle).st_mtime
         finally:
             os.close(handle)
         found.append((path, holder, _may_run(holder, free, age)))
@@ -245,7 +245,7 @@ def _door(folder: Path) -> Iterator[None]:
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            locked = _lock(handle)
+            locked = try_lock(handle)
             # Whoever was here before may have removed the file that was just opened.
             if locked is None or (locked and _is_file(path, handle)):
                 try:
@@ -271,7 +271,7 @@ def _is_file(path: Path, handle: int) -> bool:
         return False
 
 
-def _lock(handle: int) -> bool | None:
+def try_lock(handle: int) -> bool | None:
     """Locks an open file as long as it is open: False where another has it, None where files cannot be locked."""
     if sys.platform == "win32":
         import msvcrt

@@ -21,25 +21,13 @@ PROMISED_SECONDS = 5.0
 @pytest.mark.parametrize("python", bpy_pythons()[:1])
 def test_a_worker_ends_with_a_blender_that_crashes(python: str, tmp_path: Path) -> None:
     needs_worker(python)
-    import numpy as np
-    from ball_model import ball_actor
-    from scene_files import write_poses
-    from tiny_capture import tiny_cameras
+    from rolling_ball import write_rolling_ball
 
-    from chona_model.data.dataset import Pose
     from chona_model.formats.exr_structure import is_whole
-    from chona_model.model_store import save_actor
     from chona_model.owner import process_start
 
-    model, out = tmp_path / "model.safetensors", tmp_path / "out"
-    save_actor(model, ball_actor(), "chona", {}, {})
-    places = np.linspace(-0.4, 0.4, FRAMES)
-    poses = []
-    for place in places:
-        frame = np.eye(4)[None].copy()
-        frame[0, 0, 3] = place
-        poses.append(Pose(None, ("ball",), np.zeros((0, 4, 4)), frame))
-    shot = write_poses(tmp_path / "roll.shot.npz", tiny_cameras(1, (320, 240))[0], poses)
+    out = tmp_path / "out"
+    model, shot = write_rolling_ball(tmp_path, FRAMES)
     words = ["bake", "--model", str(model), "--shot", str(shot), "--out", str(out)]
     variables = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(SCRIPTS)])

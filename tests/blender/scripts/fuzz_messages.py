@@ -33,7 +33,7 @@ from chona_blender import (
 )
 from chona_blender.errors import ChonaError
 from chona_blender.live_worker import LiveWorker
-from chona_blender.operators.bake import baked_words
+from chona_blender.pick_up import baked_words
 from chona_blender.train_job import TrainJob
 
 streams, model, scratch = (Path(part) for part in sys.argv[1:4])
