@@ -22,7 +22,7 @@ from .rig.armature import create_rig
 from .rig.cast import ActorPlan
 from .shot import sample_actors
 from .shot_file import Shot, save_shot
-from .shot_job import ShotJob
+from .shot_job import BakeJob
 from .worker import chona_command
 from .worker_check import check_worker
 
@@ -38,7 +38,7 @@ EXISTING_OPTIONS: dict[str, list[str]] = {UPDATE: [], KEEP: ["--only-missing"], 
 class Bake:
     """A bake that runs. `warnings` says what of the rig's scale and shear the model cannot follow."""
 
-    job: ShotJob
+    job: BakeJob
     output: Output
     warnings: tuple[str, ...]
 
@@ -107,7 +107,7 @@ def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = 
     arguments += ["--preset", preset, *device(), *EXISTING_OPTIONS[settings.existing]]
     if settings.max_error > 0.0:
         arguments += ["--max-error", f"{settings.max_error:.6g}"]
-    job = ShotJob(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments), place)
+    job = BakeJob(f"Bake {name} ({preset}, {describe_frames(frames)})", chona_command(python, arguments), place)
     return Bake(job, output, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
 
 
@@ -197,9 +197,9 @@ def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def add_composite(scene: bpy.types.Scene) -> compositing.CompositeResult:
-    """Show the baked frames in the scene's compositor."""
-    output = bake_output(scene)
+def add_composite(scene: bpy.types.Scene, output: Output | None = None) -> compositing.CompositeResult:
+    """Show the baked frames in the scene's compositor: those of ``output``, or where the scene would bake to now."""
+    output = output or bake_output(scene)
     return compositing.add_layer(scene, output.folder, output.name, options_of(scene))
 
 

@@ -18,7 +18,9 @@ from . import (
     cost_table,
     estimates,
     frames_there,
+    jobs,
     live,
+    looking,
     model_cache,
     panels,
     part_properties,
@@ -36,7 +38,6 @@ from . import (
     worker,
     worker_setup,
 )
-from .jobs import board, remember_error
 from .operators import bake, capture, composite, costs, diagnose, preview, rig, setup_worker, standin, train
 from .operators import train_data as train_data_operators
 
@@ -82,6 +83,7 @@ def _class_step(cls: type) -> Step:
 STEPS: tuple[Step, ...] = (
     *(_class_step(cls) for cls in CLASSES),
     Step(properties.register, properties.unregister),
+    Step(looking.forget, looking.forget),
     Step(model_cache.register, model_cache.unregister),
     Step(presets.register, presets.unregister),
     Step(cost_table.forget, cost_table.forget),
@@ -124,8 +126,7 @@ def register() -> None:
 
 def unregister() -> None:
     """End workers and switch off what is on, last first."""
+    jobs.end()
     worker.close_all()
-    board.current = board.last = None
-    remember_error("")
     while _done:
         _done.pop().off()

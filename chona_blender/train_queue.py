@@ -9,13 +9,12 @@ import bpy
 
 from . import actions, jobs, train_rows
 from .errors import ChonaError
-from .train_job import TrainJob
+from .train_job import CHECKPOINT, TrainJob
 from .train_properties import SCANS
 from .train_rows import CANCELLED, FAILED, PAUSED, RUNNING, WAITING, CHONA_PG_training
 from .train_view import MODEL
 from .worker import chona_command
 
-CHECKPOINT = "checkpoint.safetensors"
 WAKE_SECONDS = 0.5
 
 

@@ -11,7 +11,9 @@ from ..baked_image import baked_frames, baked_image, follow
 from ..errors import ChonaError
 from ..output import Output, bake_output, output_now
 from ..readiness import why_not_ready
-from .image_editor import show_image
+from ..scenes import scene_of
+from ..shot_job import replaced_words
+from .image_editor import image_editor, show_image
 
 
 def why_no_bake(scene: bpy.types.Scene) -> str:
@@ -48,7 +50,7 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         scene = context.scene
-        self._scene = scene.name
+        self._scene = scene.session_uid
         composited = scene.chona.composite_after and not self.current
         self._bake = actions.start_bake(scene, composite=composited, current=self.current)
         if self._bake.warnings:
@@ -61,14 +63,19 @@ class CHONA_OT_bake(jobs.JobOperator, bpy.types.Operator):
         frames_there.look_again()
         output = self._bake.output
         words = f"{baked_words(job.result)} in {output.folder}{actions.error_words(job.result)}"
-        scene = bpy.data.scenes.get(self._scene)
+        replaced = replaced_words(job.result)
+        if replaced:
+            self.report({"WARNING"}, replaced)
+            jobs.remember_error(replaced, job.title)
+        scene = scene_of(self._scene)
         if scene is None:
-            return words
+            return f"{words}; the scene was deleted meanwhile"
         if self.current:
-            show_frames(context, output, new_window=False)
+            if image_editor(context) is not None:
+                show_frames(context, output, new_window=False)
         elif scene.chona.composite_after:
             try:
-                words += f"; composited as {actions.add_composite(scene).group.name}"
+                words += f"; composited as {actions.add_composite(scene, output).group.name}"
             except ChonaError as error:
                 raise ChonaError(f"{words}, but not composited: {error}") from error
         return words

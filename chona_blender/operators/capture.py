@@ -8,6 +8,7 @@ from .. import capturing, jobs, ring_view
 from ..capture_command import estimate_words
 from ..capturing import CaptureJob
 from ..errors import ChonaError
+from ..scenes import scene_of
 
 
 def why_no_capture(scene: bpy.types.Scene) -> str:
@@ -41,13 +42,13 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
         return {"FINISHED"}
 
     def start(self, context: bpy.types.Context) -> CaptureJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return capturing.start_capture(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
         for words in job.result.get("warnings", ()):
             self.report({"WARNING"}, str(words))
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is not None and not scene.chona.data_folder:
             scene.chona.data_format = "blender"
             scene.chona.data_folder = scene.chona.capture_folder
@@ -78,11 +79,11 @@ class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
         return {"FINISHED"}
 
     def start(self, context: bpy.types.Context) -> CaptureJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return capturing.start_estimate(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is None or not isinstance(job, CaptureJob):
             return "Estimated"
         return capturing.keep_estimate(scene, job)

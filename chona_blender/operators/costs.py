@@ -7,6 +7,7 @@ import bpy
 from .. import jobs, measuring, model_cache, presets
 from ..errors import ChonaError
 from ..measuring import EstimateJob
+from ..scenes import scene_of
 from .bake import why_no_bake
 from .image_editor import show_image
 
@@ -26,11 +27,11 @@ class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
         return not words
 
     def start(self, context: bpy.types.Context) -> EstimateJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return measuring.start_estimate(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is None or not isinstance(job, EstimateJob):
             return "Estimated"
         lines = measuring.keep_estimate(scene, job)
@@ -59,11 +60,11 @@ class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
         return not words
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return measuring.start_trade(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is not None:
             model_cache.refresh(scene.chona.model_path)
         return f"Measured; the plot is {job.result.get('plot', 'beside the model')}"
