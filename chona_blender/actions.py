@@ -24,7 +24,7 @@ from .rig.armature import create_rig
 from .rig.cast import ActorPlan
 from .shot import sample_actors
 from .shot_file import Shot, save_shot
-from .shot_job import ShotJob
+from .shot_job import BakeJob
 from .worker import chona_command, detached_command
 from .worker_check import check_worker
 
@@ -40,7 +40,7 @@ EXISTING_OPTIONS: dict[str, list[str]] = {UPDATE: [], KEEP: ["--only-missing"], 
 class Bake:
     """A bake that runs. `warnings` says what of the rig's scale and shear the model cannot follow."""
 
-    job: ShotJob
+    job: BakeJob
     output: Output
     warnings: tuple[str, ...]
 
@@ -113,9 +113,9 @@ def start_bake(scene: bpy.types.Scene, composite: bool = False, current: bool = 
     title = f"Bake {name} ({preset}, {describe_frames(frames)})"
     if detach:
         record = bake_record(folder, name)
-        job = ShotJob(title, DetachedWorker.start(detached_command(python, arguments, record), record))
+        job = BakeJob(title, DetachedWorker.start(detached_command(python, arguments, record), record))
     else:
-        job = ShotJob(title, chona_command(python, arguments), place)
+        job = BakeJob(title, chona_command(python, arguments), place)
     return Bake(job, output, tuple(f"{dropped} was dropped" for dropped in sampled.dropped))
 
 
@@ -202,9 +202,9 @@ def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def add_composite(scene: bpy.types.Scene) -> compositing.CompositeResult:
-    """Show the baked frames in the scene's compositor."""
-    output = bake_output(scene)
+def add_composite(scene: bpy.types.Scene, output: Output | None = None) -> compositing.CompositeResult:
+    """Show the baked frames in the scene's compositor: those of ``output``, or where the scene would bake to now."""
+    output = output or bake_output(scene)
     return compositing.add_layer(scene, output.folder, output.name, options_of(scene))
 
 

@@ -28,6 +28,7 @@ from .command_line import Command, WrongArguments, make_parser
 from .command_options import apply, chosen_scene
 from .command_parts import DONE, WRONG, run, save, say
 from .errors import ChonaError
+from .shot_job import replaced_words
 from .worker_check import check_worker
 
 
@@ -56,6 +57,8 @@ def bake(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
     for words in started.warnings:
         say(f"chona: warning: {words}")
     code = run(started.job)
+    if replaced_words(started.job.result):
+        say(f"chona: warning: {replaced_words(started.job.result)}")
     if code == DONE and actions.error_words(started.job.result):
         say(f"chona: {started.job.title}{actions.error_words(started.job.result)}")
     if code == DONE and arguments.composite:

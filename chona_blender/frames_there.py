@@ -1,16 +1,14 @@
-"""Which frames of a bake have files already, for panels: a thread looks into the folder, drawing only asks.
-
-The folder may be on a slow network drive, and panels are drawn with every movement of the mouse.
-"""
+"""Which frames of a bake have files already, for panels."""
 
 from __future__ import annotations
 
-import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import bpy
 
+from . import looking
 from .errors import ChonaError
 from .frames import find_baked_frames
 from .jobs import redraw_sidebars
@@ -19,27 +17,12 @@ from .output import Output
 FRESH_SECONDS = 2.0
 """How long an answer holds; files may come and go without us."""
 
-DELIVER_SECONDS = 0.1
-
-
-class _Look:
-    """One look into a folder; `numbers` is there once the thread has ended."""
-
-    def __init__(self, output: Output) -> None:
-        self.output = output
-        self.numbers: frozenset[int] = frozenset()
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
-
-    def _run(self) -> None:
-        self.numbers = numbers_in(self.output.folder, self.output.name)
-
 
 class _Known:
     output: Output | None = None
     numbers: frozenset[int] | None = None
     seen = 0.0
-    look: _Look | None = None
+    looks_at: Output | None = None
 
 
 def numbers_in(folder: Path, name: str) -> frozenset[int]:
@@ -55,9 +38,9 @@ def known(output: Output) -> frozenset[int] | None:
     """The numbers as they were last seen, None before the first look; asks for another look where that was long ago."""
     if _Known.output != output:
         _Known.output, _Known.numbers, _Known.seen = output, None, 0.0
-    if _Known.look is None and time.monotonic() - _Known.seen > FRESH_SECONDS:
-        _Known.look = _Look(output)
-        bpy.app.timers.register(_deliver, first_interval=DELIVER_SECONDS)
+    if _Known.looks_at is None and time.monotonic() - _Known.seen > FRESH_SECONDS:
+        _Known.looks_at = output
+        looking.look(partial(numbers_in, output.folder, output.name), _take)
     return _Known.numbers
 
 
@@ -66,24 +49,16 @@ def look_again() -> None:
     _Known.seen = 0.0
 
 
-def _deliver() -> float | None:
-    look = _Known.look
-    if look is None:
-        return None
-    if look.thread.is_alive():
-        return DELIVER_SECONDS
-    _Known.look = None
-    if look.output == _Known.output:
-        changed = look.numbers != _Known.numbers
-        _Known.numbers, _Known.seen = look.numbers, time.monotonic()
+def _take(numbers: frozenset[int]) -> None:
+    looked_at, _Known.looks_at = _Known.looks_at, None
+    if looked_at == _Known.output:
+        changed = numbers != _Known.numbers
+        _Known.numbers, _Known.seen = numbers, time.monotonic()
         if changed:
             redraw_sidebars(bpy.context)
-    return None
 
 
 def forget() -> None:
     """Drop everything: the add-on is switched off."""
-    if bpy.app.timers.is_registered(_deliver):
-        bpy.app.timers.unregister(_deliver)
-    _Known.output = _Known.numbers = _Known.look = None
+    _Known.output = _Known.numbers = _Known.looks_at = None
     _Known.seen = 0.0

@@ -140,7 +140,7 @@ def last_lines(path: Path) -> list[str]:
 
 
 def killed_words(record: JobRecord | None, lines: Sequence[str]) -> str:
-    """Of a job that has ended and could not say how: when, what is there, and how to go on.
+    """Of a job that has ended and could not say how: when, and the last that it said.
 
     Args:
         lines: what it has printed.
@@ -149,13 +149,17 @@ def killed_words(record: JobRecord | None, lines: Sequence[str]) -> str:
     if record is not None:
         words += f", after {record.written}"
     said = next((line for line in reversed(lines) if not line.startswith("{")), "")
-    words += f"; it said last: {said}" if said else ""
-    told = (record.progress or record.start) if record is not None else None
+    return f"{words}; it said last: {said}" if said else words
+
+
+def left_words(record: JobRecord) -> str:
+    """What such a job has left, and how to go on."""
+    told = record.progress or record.start
     if told is None:
-        return f"{words}; it had not begun: start it again"
+        return "it had not begun: start it again"
     if told.get("job") != "bake":
-        return f"{words}; with Resume it goes on from its last checkpoint"
-    return f"{words}; {told.get('done') or 0:g} of {told.get('total') or 0:g} frames are there: press Bake to go on"
+        return "with Resume it goes on from its last checkpoint"
+    return f"{told.get('done') or 0:g} of {told.get('total') or 0:g} frames are there: press Bake to go on"
 
 
 def ask_to_end(path: Path) -> None:

@@ -86,12 +86,20 @@ class Job:
         if code == 0 and self.result:
             self.status, self.done = DONE, self.total
         elif self.worker.cancelled_at is not None:
-            self.status, self.error = CANCELLED, f"{self.title} was cancelled"
+            self.status, self.error = CANCELLED, self._and_left(f"{self.title} was cancelled")
         else:
-            self.status, self.error = FAILED, self.error or self.worker.last_words(code)
+            self.status, self.error = FAILED, self.error or self._and_left(self.worker.last_words(code))
             if code == 0:
                 self.error += "; expected a result"
         return True
+
+    def what_is_left(self) -> str:
+        """What a job leaves that ended before its time, and how to go on; nothing where there is nothing to say."""
+        return ""
+
+    def _and_left(self, words: str) -> str:
+        left = self.what_is_left()
+        return f"{words}; {left}" if left else words
 
     def _take(self, event: dict[str, Any]) -> None:
         kind = event["event"]
@@ -116,13 +124,42 @@ class Job:
 
 
 class _Board:
-    """The job that runs and the last one that ended: what the panels show."""
+    """The job that runs and the last one that ended: what the panels show; and what the running one has of Blender.
+
+    Attributes:
+        timer: wakes the running job's operator; told: workspaces whose status bars its words are in, by number.
+    """
 
     current: Job | None = None
     last: Job | None = None
+    timer: bpy.types.Timer | None = None
+    told: set[int]
 
 
 board = _Board()
+board.told = set()
+
+
+def let_go() -> None:
+    """No job runs any more: its timer goes, and its words in the status bars."""
+    if board.timer is not None:
+        bpy.context.window_manager.event_timer_remove(board.timer)
+    board.current = board.timer = None
+    if board.told:
+        for workspace in bpy.data.workspaces:
+            if workspace.session_uid in board.told:
+                workspace.status_text_set(None)
+        board.told.clear()
+
+
+def end() -> None:
+    """End the running job and forget all: the add-on is switched off, and Blender drops the operator without a word."""
+    if board.current is not None:
+        board.current.close()
+    let_go()
+    board.last = None
+    remember_error("")
+    news().clear()
 
 
 def running() -> Job | None:
@@ -185,7 +222,6 @@ class JobOperator:
     escapes = True
 
     _job: Job | None = None
-    _timer: bpy.types.Timer | None = None
 
     def start(self, context: bpy.types.Context) -> Job:
         """Gather what is needed and start the worker; a ChonaError is reported."""
@@ -210,7 +246,7 @@ class JobOperator:
             self._job = board.current = board.last = self.start(context)
         except ChonaError as error:
             return fail(self, error)
-        self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
+        board.timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
@@ -227,40 +263,40 @@ class JobOperator:
             return {"PASS_THROUGH"}
         job = self._job
         ended = job.poll()
-        if context.workspace is not None:
-            words = f"{job.title}: {job.text}" + "   |   ESC: cancel" * self.escapes
-            context.workspace.status_text_set(None if ended else words)
         redraw_sidebars(context)
         if not ended:
+            if context.workspace is not None:
+                words = f"{job.title}: {job.text}" + "   |   ESC: cancel" * self.escapes
+                context.workspace.status_text_set(words)
+                board.told.add(context.workspace.session_uid)
             return {"PASS_THROUGH"}
-        self._release(context)
+        let_go()
         try:
             return self._ended(context, job)
         except ChonaError as error:
             return fail(self, error)
 
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator: another file is loaded, or its window is closed."""
-        if self._job is not None:
-            self._job.close()
-        self._release(context)
-
-    def _release(self, context: bpy.types.Context) -> None:
-        board.current = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
+    def cancel(self, _context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, or its window is closed. The panel tells."""
+        job, self._job = self._job, None
+        if job is None or job is not board.current:
+            return
+        job.close()
+        let_go()
+        if job.error:
+            words = f"another file was opened, or the window was closed: {job.error}"
+            remember_error(sentence(ChonaError(words)), job.title)
 
     def _ended(self, context: bpy.types.Context, job: Job) -> set[str]:
         if job.status == DONE:
+            if _Last.job == job.title:  # what had stopped it before is over
+                remember_error("")
             self.report({"INFO"}, self.finish(context, job))
             return {"FINISHED"}
         if job.status == CANCELLED:
             self.report({"WARNING"}, job.error)
             return {"CANCELLED"}
-        return fail(self, ChonaError(job.error))
+        return fail(self, ChonaError(job.error), job.title)
 
 
 def redraw_sidebars(context: bpy.types.Context) -> None:
@@ -271,10 +307,10 @@ def redraw_sidebars(context: bpy.types.Context) -> None:
                 area.tag_redraw()
 
 
-def fail(operator: bpy.types.Operator, error: ChonaError) -> set[str]:
-    """Report an error and keep its words for the panel, where they can be copied."""
+def fail(operator: bpy.types.Operator, error: ChonaError, job: str = "") -> set[str]:
+    """Report an error and keep its words for the panel, where they can be copied; ``job`` is the title of one."""
     text = sentence(error)
-    remember_error(text)
+    remember_error(text, job)
     operator.report({"ERROR"}, text)
     return {"CANCELLED"}
 
@@ -286,13 +322,13 @@ def sentence(error: ChonaError) -> str:
 
 
 class _Last:
-    error = ""
+    error = job = ""
     news: list[str] = []
 
 
-def remember_error(text: str) -> None:
-    """Keep the words of the last failure for the panel."""
-    _Last.error = text
+def remember_error(text: str, job: str = "") -> None:
+    """Keep the words of the last failure for the panel, until a job of the same title is done."""
+    _Last.error, _Last.job = text, job
 
 
 def last_error() -> str:

@@ -24,6 +24,7 @@ from .live_pace import STAGES, Pace
 from .live_view import Canvas, Picture, camera_frame, camera_views, depsgraph_of, redraw_views
 from .live_worker import LiveWorker
 from .rig.cast import ActorPlan
+from .scenes import scene_of
 from .shot import sample_actors_now
 from .shot_file import Shot, shot_bytes
 from .worker import find_python
@@ -41,6 +42,7 @@ LOOK_SECONDS = 0.25
 LOADING = "loading the model"
 WAITING = "waiting for the worker"
 START_AGAIN = "press Start Again"
+NO_CAMERA = "The scene has no camera: add one and make it active"
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class LivePreview:
         """One step: take what has come, ask for what is wanted. Returns the seconds to the next one, None when off."""
         if self._scene is None:
             return None
-        scene = next((each for each in bpy.data.scenes if each.session_uid == self._scene), None)
+        scene = scene_of(self._scene)
         if scene is None:
             self.off()
             return None
@@ -144,9 +146,14 @@ class LivePreview:
             self._take(scene, frame, self._asked)
         if worker is not None and worker.error:
             self._tell_of_worker(scene, worker)
+        if scene.camera is None:
+            self._facts = ()  # with a camera again, whatever it shows is new
+            raise ChonaError(NO_CAMERA)
         views = [camera_frame(region, view, scene) for region, view in camera_views(scene)]
         widths = [frame.width for frame in views if frame is not None]
         if not widths:
+            if self.error == NO_CAMERA:
+                self._tell(scene, "")
             return
         now = time.monotonic()
         if now >= self._look_from:

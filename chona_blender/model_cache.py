@@ -1,20 +1,59 @@
 """The header of the model that the scene names, read once per version of the file.
 
-Panels and searches look here; a file is opened only by `refresh`, which runs when the path changes, a .blend file is
-loaded or an operator needs it.
+Panels and searches look here; a file is opened only by `load`, which runs when the path changes, a .blend file is
+loaded or an operator needs it, and by the thread that `watch` starts.
 """
 
 from __future__ import annotations
 
+import time
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 
+from . import looking
 from .errors import ChonaError
+from .jobs import redraw_sidebars
 from .model_header import ModelHeader, read_model_header
 
-_headers: dict[str, tuple[float, ModelHeader]] = {}
-_errors: dict[str, str] = {}
+FRESH_SECONDS = 2.0
+"""How long panels show a header before the file is looked at again; it may be trained or copied without us."""
+
+Stamp = tuple[int, int]
+"""A file's time in nanoseconds and its size: they tell that it is another one. Both are -1 where there is none."""
+
+
+class _Known(NamedTuple):
+    """What was found in a file: its header, or why that could not be read."""
+
+    stamp: Stamp
+    header: ModelHeader | None
+    problem: str
+
+
+_known: dict[str, _Known] = {}
+_looked: dict[str, float] = {}
+
+
+def _stamp_of(full: str) -> Stamp:
+    try:
+        found = Path(full).stat()
+    except OSError:
+        return -1, -1
+    return found.st_mtime_ns, found.st_size
+
+
+def _look_at(full: str, known: _Known | None) -> _Known:
+    """The file as it is now; what is known of it where it has not changed. Touches nothing of Blender's."""
+    stamp = _stamp_of(full)
+    if known is not None and known.stamp == stamp and known.header is not None:
+        return known
+    try:
+        return _Known(stamp, read_model_header(Path(full)), "")
+    except ChonaError as error:
+        return _Known(stamp, None, str(error))
 
 
 def load(path: str) -> ModelHeader:
@@ -24,22 +63,11 @@ def load(path: str) -> ModelHeader:
             "no model file is set; choose the .safetensors file that a training wrote (sidebar CHONA ▸ Model)"
         )
     full = bpy.path.abspath(path)
-    try:
-        stamp = Path(full).stat().st_mtime
-    except OSError:
-        stamp = -1.0
-    known = _headers.get(full)
-    if known is not None and known[0] == stamp:
-        return known[1]
-    _headers.pop(full, None)
-    try:
-        header = read_model_header(Path(full))
-    except ChonaError as error:
-        _errors[full] = str(error)
-        raise
-    _errors.pop(full, None)
-    _headers[full] = (stamp, header)
-    return header
+    known = _known[full] = _look_at(full, _known.get(full))
+    _looked[full] = time.monotonic()
+    if known.header is None:
+        raise ChonaError(known.problem)
+    return known.header
 
 
 def refresh(path: str) -> ModelHeader | None:
@@ -52,21 +80,51 @@ def refresh(path: str) -> ModelHeader | None:
         return None
 
 
+def watch(path: str) -> None:
+    """Have the file looked at again, unless that was a moment ago: panels and buttons ask while they are drawn."""
+    if not path.strip():
+        return
+    if bpy.app.background:  # nothing is drawn, no timer runs, and nobody waits for a slow drive
+        refresh(path)
+    else:
+        _look_later(path)
+
+
+def _look_later(path: str) -> None:
+    full, now = bpy.path.abspath(path), time.monotonic()
+    if now - _looked.get(full, -FRESH_SECONDS) >= FRESH_SECONDS:
+        _looked[full] = now
+        looking.look(partial(_look_at, full, _known.get(full)), partial(_take, full))
+
+
+def _take(full: str, found: _Known) -> None:
+    """Another header is in a file that panels show: whoever is of that model shows its bones."""
+    before, _known[full] = _known.get(full), found
+    if before is not None and (before.stamp, before.problem) == (found.stamp, found.problem):
+        return
+    for scene in bpy.data.scenes:
+        for actor in scene.chona.actors if scene.library is None else ():
+            if found.header is not None and bpy.path.abspath(actor.model_path) == full:
+                actor.refresh_bones()
+    redraw_sidebars(bpy.context)
+
+
 def cached(path: str) -> ModelHeader | None:
     """The header if it has been read; never opens a file."""
-    known = _headers.get(bpy.path.abspath(path))
-    return None if known is None else known[1]
+    known = _known.get(bpy.path.abspath(path))
+    return None if known is None else known.header
 
 
-def stamp(path: str) -> float | None:
-    """When the file whose header has been read was last changed; never opens a file."""
-    known = _headers.get(bpy.path.abspath(path))
-    return None if known is None else known[0]
+def stamp(path: str) -> Stamp | None:
+    """When the file whose header has been read was last changed, and its size; never opens a file."""
+    known = _known.get(bpy.path.abspath(path))
+    return None if known is None or known.header is None else known.stamp
 
 
 def cached_error(path: str) -> str:
     """Why the file could not be read, if that has been tried."""
-    return _errors.get(bpy.path.abspath(path), "")
+    known = _known.get(bpy.path.abspath(path))
+    return "" if known is None else known.problem
 
 
 def person_names(path: str) -> list[str]:
@@ -96,5 +154,5 @@ def register() -> None:
 def unregister() -> None:
     """Stop listening and forget."""
     bpy.app.handlers.load_post.remove(_file_loaded)
-    _headers.clear()
-    _errors.clear()
+    _known.clear()
+    _looked.clear()

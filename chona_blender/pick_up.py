@@ -18,9 +18,9 @@ from . import frames_there, job_record, jobs, train_rows
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .events import need
-from .job_record import JobRecord, bake_record, train_record
+from .job_record import JobRecord, bake_record, killed_words, left_words, train_record
 from .output import Output, absolute, output_now
-from .shot_job import ShotJob
+from .shot_job import BakeJob
 from .train_job import TrainJob
 from .train_queue import follow, has_checkpoint
 
@@ -33,12 +33,13 @@ class Place:
 
     Attributes:
         record: its file; title: as panels show it.
-        scene: name of the scene that bakes there, empty for a training; key: of the row of a training, empty without.
+        scene: ``session_uid`` of the scene that bakes there, 0 for a training.
+        key: of the row of a training, empty without.
     """
 
     record: Path
     title: str
-    scene: str = ""
+    scene: int = 0
     output: Output | None = None
     key: str = ""
 
@@ -46,7 +47,7 @@ class Place:
         """A job that follows what runs there."""
         worker = DetachedWorker(self.record)
         if self.output is not None:
-            return ShotJob(self.title, worker)
+            return BakeJob(self.title, worker)
         row = train_rows.row_of(self.key)
         if row is not None:
             row.state = train_rows.RUNNING
@@ -69,7 +70,7 @@ def bake_place(scene: bpy.types.Scene) -> Place | None:
     output = output_now(scene)
     if output is None:
         return None
-    return Place(bake_record(output.folder, output.name), f"Bake {output.name}", scene.name, output)
+    return Place(bake_record(output.folder, output.name), f"Bake {output.name}", scene.session_uid, output)
 
 
 def train_place(run: Path, key: str = "") -> Place:
@@ -136,7 +137,7 @@ def end_of(found: Found) -> tuple[str, str]:
     """How a job has ended, as a job's status, and in words that go on from its title."""
     record, end = found.record, found.record.end
     if end is None:
-        return jobs.FAILED, f"ended without Blender: {job_record.killed_words(record, found.lines)}"
+        return jobs.FAILED, f"ended without Blender: {killed_words(record, found.lines)}; {left_words(record)}"
     when = f"at {record.written}"
     if end["event"] == "error":
         return jobs.FAILED, f"failed {when}: {end.get('message') or 'it did not say why'}"

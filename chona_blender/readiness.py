@@ -1,4 +1,4 @@
-"""Why nothing can be rendered yet, in the words of a button that is off. Opens no file and evaluates nothing."""
+"""Why nothing can be rendered yet, in the words of a button that is off. Waits for no file and evaluates nothing."""
 
 from __future__ import annotations
 
@@ -38,10 +38,18 @@ def _obstacles_of(actor: CHONA_PG_actor) -> Iterator[str]:
     if not actor.model_path:
         yield "Choose a model file, or switch the actor off"
         return
+    model_cache.watch(actor.model_path)
     problem = model_cache.cached_error(actor.model_path)
     if problem:
         yield problem[:1].upper() + problem[1:]
     objects = list(actor.used_objects())
+    header = model_cache.cached(actor.model_path)
+    if header is not None:
+        if actor.person and actor.person not in header.persons:
+            yield f"The model has no person {actor.person}: choose one under Rig"
+        strange = next((item.name for item in objects if item.name not in header.objects), None)
+        if strange is not None:
+            yield f"The model has no object {strange}: choose one under Rig, or switch the object off"
     if actor.person and actor.armature is None:
         yield f"Create a rig, or choose an armature for {actor.person}"
     elif not actor.person and not objects:

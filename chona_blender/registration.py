@@ -18,7 +18,9 @@ from . import (
     cost_table,
     estimates,
     frames_there,
+    jobs,
     live,
+    looking,
     model_cache,
     panels,
     part_properties,
@@ -37,7 +39,6 @@ from . import (
     worker,
     worker_setup,
 )
-from .jobs import board, news, remember_error
 from .operators import bake, capture, composite, costs, diagnose, preview, rig, setup_worker, standin, train
 from .operators import pick_up as pick_up_operators
 from .operators import train_data as train_data_operators
@@ -85,6 +86,7 @@ def _class_step(cls: type) -> Step:
 STEPS: tuple[Step, ...] = (
     *(_class_step(cls) for cls in CLASSES),
     Step(properties.register, properties.unregister),
+    Step(looking.forget, looking.forget),
     Step(model_cache.register, model_cache.unregister),
     Step(presets.register, presets.unregister),
     Step(cost_table.forget, cost_table.forget),
@@ -128,9 +130,7 @@ def register() -> None:
 
 def unregister() -> None:
     """End workers and switch off what is on, last first."""
+    jobs.end()
     worker.close_all()
-    board.current = board.last = None
-    remember_error("")
-    news().clear()
     while _done:
         _done.pop().off()

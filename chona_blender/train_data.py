@@ -98,7 +98,7 @@ def look(scene: bpy.types.Scene) -> None:
         _Known.found[key] = Found(problem=jobs.sentence(error))
         return
     if not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=LOOK_SECONDS)
+        bpy.app.timers.register(_tick, first_interval=LOOK_SECONDS, persistent=True)
 
 
 def _tick() -> float | None:

@@ -13,6 +13,7 @@ from .jobs import CANCELLED, DONE, RUNNING, Job, duration
 from .train_view import TrainView
 
 PAUSED = "PAUSED"
+CHECKPOINT = "checkpoint.safetensors"
 STOP = "stop"
 """A file of this name in the result folder ends the training after its step (docs/capture-and-train.md): unlike a
 signal, it is understood on every system, and nothing is lost however long the step takes."""
@@ -88,6 +89,12 @@ class TrainJob(Job):
         self.view.follow(force=ended)
         self.told(self)
         return ended
+
+    def what_is_left(self) -> str:
+        """Whether a checkpoint is there, and that Resume goes on."""
+        if (self.run / CHECKPOINT).is_file():
+            return "its last checkpoint is there: press Resume to go on from it"
+        return "it has written no checkpoint yet: press Resume to begin again"
 
     def _take(self, event: dict[str, Any]) -> None:
         super()._take(event)

@@ -11,13 +11,12 @@ from . import actions, jobs, train_rows
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .job_record import train_record
-from .train_job import TrainJob
+from .train_job import CHECKPOINT, TrainJob
 from .train_properties import SCANS
 from .train_rows import CANCELLED, FAILED, PAUSED, RUNNING, WAITING, CHONA_PG_training
 from .train_view import MODEL
 from .worker import chona_command, detached_command
 
-CHECKPOINT = "checkpoint.safetensors"
 WAKE_SECONDS = 0.5
 
 

@@ -132,8 +132,7 @@ def last_words(code: int, lines: Iterable[str]) -> str:
     """How a worker ended and the last that it said, from its exit code and its lines."""
     said = next((line for line in reversed(list(lines)) if line.strip()), "it said nothing")
     how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
-    if code in {-6, -9}:
-        how += " (out of memory?)"
+    how += {-6: " (out of memory?)", -9: " (out of memory?)", -7: " (was a file that it read cut off?)"}.get(code, "")
     return f"the worker {how}: {said}"
 
 

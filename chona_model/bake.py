@@ -22,6 +22,7 @@ from chona_model.formats.atomic import WriteError
 from chona_model.formats.exr import FrameHeader, FrameLayers, frame_name, is_finished, read_frame, write_frame
 from chona_model.formats.exr_structure import is_whole
 from chona_model.formats.folder_lock import lock_folder
+from chona_model.formats.model_file import ModelFileError
 from chona_model.formats.shot import Shot, ShotError, read_shot
 from chona_model.formats.shot_blur import lens_arrays, shutter_arrays
 from chona_model.frame import ShotRenderer, matte_names
@@ -66,8 +67,9 @@ def bake(
         SettingsError: there is no such preset, or ``max_memory`` is less than the pictures take.
         ShotError: the shot is damaged, a frame, model, person, object or bone in it is unknown, or a blur is asked for
             that it has not, or that comes with a bound.
-        ModelFileError: a model cannot be loaded.  FolderBusyError: another process bakes some of these frames into the
-            folder.  FolderLostError: the folder was removed meanwhile.  WriteError, BakeError: it cannot be written to.
+        ModelFileError: a model cannot be loaded, or was replaced before it was read.  FolderBusyError: another process
+            bakes some of these frames into the folder.  FolderLostError: the folder was removed meanwhile.
+        WriteError, BakeError: it cannot be written to.
     """
     content = read_shot(shot)
     models = find_models(content, model, shot.parent)
@@ -80,7 +82,8 @@ def bake(
         )
     began = time.perf_counter()
     done = FinishedFrames(content, settings, out, digest, passes, not overwrite, max_error, blurred)
-    tally, source = Tally(passes), _Source(models, content, settings, passes, device, max_error, blurred, max_memory)
+    tally = Tally(passes)
+    source = _Source(models, digest, content, settings, passes, device, max_error, blurred, max_memory)
     written = skipped = repeated = 0
 
     def is_there(index: int) -> bool:
@@ -130,8 +133,12 @@ def bake(
         progress.start("bake", len(chosen), unit="frame")
         for index, made in each_once(chosen, is_there, make, stopped, claims, name_and_key, waits):
             written, skipped = written + made, skipped + (not made)
-            progress.update(written + skipped, done.path(index).name)
-    report = BakeReport(written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached)
+            # At once: when this process is killed, its parent says how many frames are there.
+            progress.update(written + skipped, done.path(index).name, at_once=made)
+    report = BakeReport(
+        written, skipped, repeated, time.perf_counter() - began, source.left_out(tally), source.reached,
+        models.replaced(digest),
+    )  # fmt: skip
     finish = progress.cancelled if progress.cancelled_by_user else progress.result
     finish(**report.as_dict(), out=str(out))
     return report
@@ -197,10 +204,10 @@ class _Source:
     """Renders frames, and loads what it takes when the first is asked for."""
 
     def __init__(
-        self, models: ShotModels, shot: Shot, settings: RenderSettings, passes: Passes, device: str, max_error: float,
-        blur: Blur, max_memory: float | None,
+        self, models: ShotModels, digest: str, shot: Shot, settings: RenderSettings, passes: Passes, device: str,
+        max_error: float, blur: Blur, max_memory: float | None,
     ) -> None:  # fmt: skip
-        self._models, self._shot, self._device, self._blur = models, shot, device, blur
+        self._models, self._digest, self._shot, self._device, self._blur = models, digest, shot, device, blur
         self._max_memory = max_memory
         self._settings, self._passes, self._max_error = settings, passes, max_error
         self._renderer: ShotRenderer | None = None
@@ -210,6 +217,11 @@ class _Source:
         """Loads what the shot shows, if that is not done."""
         if self._renderer is None:
             self._loaded = self._models.load(self._shot, self._device)
+            if self._models.replaced(self._digest):
+                raise ModelFileError(
+                    f"{', '.join(map(str, self._models.headers))} was replaced before this bake had read it; no frame "
+                    "is of the new model yet: bake again"
+                )
             actors, tile = self._loaded.actors, None
             if self._max_memory is not None:
                 tile = tile_within(self._max_memory, self._shot, self._passes, self._blur != SHARP)

@@ -10,6 +10,7 @@ from chona_model.adaptive import Reached
 from chona_model.passes import Passes
 from chona_model.sight import Unseen
 
+REPLACED = "the model file was replaced meanwhile: all frames are of the model before, bake again for the new one"
 NAMED = 4
 """So many names are said in a sentence; of more, the number."""
 
@@ -77,6 +78,7 @@ class BakeReport:
         seconds: in all.
         left_out: what else was spared.
         reached: what a bound on the error came to, or None without one.
+        model_replaced: whether the file of a model is another one by now; every frame is of the one before.
     """
 
     written: int
@@ -85,6 +87,7 @@ class BakeReport:
     seconds: float
     left_out: LeftOut = LeftOut()
     reached: Reached | None = None
+    model_replaced: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -92,13 +95,18 @@ class BakeReport:
             "written": self.written, "skipped": self.skipped, "repeated": self.repeated,
             "seconds": round(self.seconds, 3), "left_out": self.left_out.as_dict(),
             **({"max_error": self.reached.as_dict()} if self.reached else {}),
+            **({"model_replaced": True} if self.model_replaced else {}),
         }  # fmt: skip
 
     def sentence(self) -> str:
         """In words, for a terminal."""
         copied = f" ({self.repeated} copied)" if self.repeated else ""
         reached = f"; {self.reached.sentence()}" if self.reached else ""
-        return f"{self.written} frames written{copied}, {self.skipped} were up to date, {self.seconds:.1f} s{reached}"
+        replaced = f"; {REPLACED}" if self.model_replaced else ""
+        return (
+            f"{self.written} frames written{copied}, {self.skipped} were up to date, {self.seconds:.1f} s{reached}"
+            f"{replaced}"
+        )
 
 
 class Tally:

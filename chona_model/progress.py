@@ -157,11 +157,15 @@ class Progress:
                              dynamic_ncols=True, bar_format="{desc} {percentage:3.0f}%|{bar}| {n:.5g}/{total:.5g} "
                              "{elapsed}<{remaining}{postfix}")  # fmt: skip
 
-    def update(self, done: float, message: str = "", **fields: Any) -> None:
-        """Says how far the job is, with numbers such as ``loss`` and ``psnr``.  Cheap: call it after every step."""
+    def update(self, done: float, message: str = "", *, at_once: bool = False, **fields: Any) -> None:
+        """Says how far the job is, with numbers such as ``loss`` and ``psnr``.  Cheap: call it after every step.
+
+        Args:
+            at_once: write the event also where the last was written a moment ago: something is finished for good.
+        """
         now = self._clock()
         left = None if self._total is None else max(self._total - done, 0.0)
-        due = now - self._written >= UPDATE_SECONDS or left == 0
+        due = at_once or now - self._written >= UPDATE_SECONDS or left == 0
         if self.mode == "terminal":
             if self._bar is not None and due:
                 words = [message] if message else []

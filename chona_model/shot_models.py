@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from chona_model.actor import Actor
-from chona_model.formats.model_file import ModelHeader, file_hash, read_header
+from chona_model.formats.model_file import ModelFileError, ModelHeader, file_hash, read_header
 from chona_model.formats.shot import Shot, ShotActor, ShotError
 from chona_model.model_store import load_with_report
 from chona_model.plain_json import shortened
@@ -18,6 +18,8 @@ from chona_model.sight import shown_identities
 SUFFIX = ".safetensors"
 LONGEST_PATH = 1000
 """Characters of a path; systems take a few thousand bytes."""
+
+FileState = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,12 @@ class ShotModels:
 
     Attributes:
         paths: of every actor's model, in the shot's order; headers: by path, each file once.
+        states: of the files when they were found: device and number, time and size.
     """
 
     paths: tuple[Path, ...]
     headers: Mapping[Path, ModelHeader]
+    states: Mapping[Path, FileState | None]
 
     @property
     def of_actors(self) -> list[ModelHeader]:
@@ -70,6 +74,15 @@ class ShotModels:
         if len(set(hashes.values())) == 1:
             return next(iter(hashes.values()))
         return hashlib.sha256("\n".join(hashes[path] for path in self.paths).encode()).hexdigest()
+
+    def replaced(self, digest: str) -> bool:
+        """Whether a file is by now of another model than the one that had a ``digest``; one that is gone is not."""
+        if all(_state(path) in {state, None} for path, state in self.states.items()):
+            return False
+        try:  # what was measured of a model may have been written into its file: it is the same model
+            return self.digest() != digest
+        except ModelFileError:
+            return True
 
     def load(self, shot: Shot, device: str) -> LoadedModels:
         """Loads of every model the persons and objects that its own actors show.
@@ -102,9 +115,18 @@ def find_models(shot: Shot, first: Path, folder: Path | None) -> ShotModels:
     named = [_path(member, first, folder) for member in shot.actors]
     same: dict[Path, Path] = {}
     paths = tuple(same.setdefault(path.resolve(), path) for path in named)
-    found = ShotModels(paths, {path: read_header(path) for path in dict.fromkeys(paths)})
+    states = {path: _state(path) for path in dict.fromkeys(paths)}
+    found = ShotModels(paths, {path: read_header(path) for path in states}, states)
     check_actors(shot, found.of_actors)
     return found
+
+
+def _state(path: Path) -> FileState | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def _path(member: ShotActor, first: Path, folder: Path | None) -> Path:

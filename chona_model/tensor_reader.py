@@ -55,8 +55,8 @@ class TensorReader:
         self._file.__exit__(kind, error, trace)
 
     def __getitem__(self, name: str) -> Tensor:
-        """A whole tensor."""
-        return self._taken(name, self._file.get_tensor(name))
+        """A whole tensor, in memory of its own: the file may be written over while the tensor is in use."""
+        return self._taken(name, self._file.get_tensor(name).clone())
 
     def shape(self, name: str) -> tuple[int, ...]:
         """A tensor's shape; nothing of it is read."""

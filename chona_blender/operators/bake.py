@@ -9,7 +9,9 @@ from ..baked_image import baked_frames, baked_image, follow
 from ..errors import ChonaError
 from ..output import Output, bake_output, output_now
 from ..readiness import why_not_ready
-from .image_editor import show_image
+from ..scenes import scene_of
+from ..shot_job import replaced_words
+from .image_editor import image_editor, show_image
 from .poll import allowed, needs
 
 
@@ -44,7 +46,7 @@ class CHONA_OT_bake(pick_up.DetachableOperator, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
         scene = context.scene
-        self._scene = scene.name
+        self._scene = scene.session_uid
         place = None if self.current else pick_up.bake_place(scene)
         running = pick_up.running_at(place)
         if running is not None:
@@ -60,7 +62,7 @@ class CHONA_OT_bake(pick_up.DetachableOperator, bpy.types.Operator):
         return bake.job
 
     def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
-        return finish_bake(context, job, self._scene, self._output, self.current)
+        return finish_bake(self, context, job, self._scene, self._output, self.current)
 
     def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
         bake_ended()
@@ -68,22 +70,28 @@ class CHONA_OT_bake(pick_up.DetachableOperator, bpy.types.Operator):
 
 
 def finish_bake(
-    context: bpy.types.Context, job: jobs.Job, scene_name: str, output: Output, current: bool = False
-) -> str:
-    """Show or composite what was baked; words for a report.
+    operator: bpy.types.Operator, context: bpy.types.Context, job: jobs.Job, scene_uid: int, output: Output,
+    current: bool = False,
+) -> str:  # fmt: skip
+    """Show or composite what was baked, and warn of a model that was replaced meanwhile; words for a report.
 
     Raises:
-        ChonaError: it cannot be composited.
+        ChonaError: the result says nothing of frames, or they cannot be composited.
     """
     words = f"{pick_up.baked_words(job.result)} in {output.folder}{actions.error_words(job.result)}"
-    scene = bpy.data.scenes.get(scene_name)
+    replaced = replaced_words(job.result)
+    if replaced:
+        operator.report({"WARNING"}, replaced)
+        jobs.remember_error(replaced, job.title)
+    scene = scene_of(scene_uid)
     if scene is None:
-        return words
+        return f"{words}; the scene was deleted meanwhile"
     if current:
-        show_frames(context, output, new_window=False)
+        if image_editor(context) is not None:
+            show_frames(context, output, new_window=False)
     elif scene.chona.composite_after:
         try:
-            words += f"; composited as {actions.add_composite(scene).group.name}"
+            words += f"; composited as {actions.add_composite(scene, output).group.name}"
         except ChonaError as error:
             raise ChonaError(f"{words}, but not composited: {error}") from error
     return words

@@ -9,6 +9,7 @@ from ..capture_command import estimate_words
 from ..capturing import CaptureJob
 from ..errors import ChonaError
 from ..events import need
+from ..scenes import scene_of
 from .poll import allowed, needs
 
 SHOWN_WARNINGS = 20
@@ -43,14 +44,14 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
         return {"FINISHED"}
 
     def start(self, context: bpy.types.Context) -> CaptureJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return capturing.start_capture(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
         need(job.result, "written", "skipped")
         for words in job.result.get("warnings", ())[:SHOWN_WARNINGS]:
             self.report({"WARNING"}, words)
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is not None and not scene.chona.data_folder:
             scene.chona.data_format = "blender"
             scene.chona.data_folder = scene.chona.capture_folder
@@ -78,11 +79,11 @@ class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
         return {"FINISHED"}
 
     def start(self, context: bpy.types.Context) -> CaptureJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return capturing.start_estimate(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is None or not isinstance(job, CaptureJob):
             return "Estimated"
         return capturing.keep_estimate(scene, job)

@@ -8,6 +8,7 @@ from .. import jobs, measuring, model_cache, presets
 from ..errors import ChonaError
 from ..measuring import EstimateJob
 from ..readiness import NO_CAPTURES, NO_MODEL
+from ..scenes import scene_of
 from .bake import why_no_bake
 from .image_editor import load_anew, show_image
 from .poll import allowed, needs
@@ -25,11 +26,11 @@ class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
         return allowed(cls, why_no_bake(context.scene))
 
     def start(self, context: bpy.types.Context) -> EstimateJob:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return measuring.start_estimate(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is None or not isinstance(job, EstimateJob):
             return "Estimated"
         lines = measuring.keep_estimate(scene, job)
@@ -55,11 +56,11 @@ class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
         return allowed(cls, next((words for applies, words in reasons if applies), ""))
 
     def start(self, context: bpy.types.Context) -> jobs.Job:
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         return measuring.start_trade(context.scene)
 
     def finish(self, _context: bpy.types.Context, job: jobs.Job) -> str:
-        scene = bpy.data.scenes.get(self._scene)
+        scene = scene_of(self._scene)
         if scene is not None:
             model_cache.refresh(scene.chona.model_path)
         return f"Measured; the plot is {job.result.get('plot', 'beside the model')}"

@@ -6,6 +6,7 @@ import bpy
 
 from .. import jobs, pick_up
 from .bake import bake_ended, finish_bake
+from .poll import allowed
 from .train import finish_training, training_ended
 
 
@@ -20,10 +21,7 @@ class CHONA_OT_pick_up(pick_up.DetachableOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        words = jobs.busy()
-        if words:
-            cls.poll_message_set(words)
-        return not words
+        return allowed(cls, jobs.busy())
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window: look, tell what has ended, and wait for what runs."""
@@ -41,7 +39,7 @@ class CHONA_OT_pick_up(pick_up.DetachableOperator, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, job: jobs.Job) -> str:
         if self._place.output is None:
             return finish_training(context, job)
-        return finish_bake(context, job, self._place.scene, self._place.output)
+        return finish_bake(self, context, job, self._place.scene, self._place.output)
 
     def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
         if self._place.output is None:

@@ -58,6 +58,7 @@ class CHONA_PT_main(Sidebar, bpy.types.Panel):
 
     def draw_model(self, context: bpy.types.Context, path: str) -> None:
         """What the model holds, or why it cannot be read."""
+        model_cache.watch(path)
         header = model_cache.cached(path)
         if header is not None:
             persons, objects = ", ".join(header.persons) or "nobody", ", ".join(header.objects) or "none"

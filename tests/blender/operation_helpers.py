@@ -44,9 +44,14 @@ def bpy_pythons() -> list[str]:
 
 
 def run_bpy(
-    python: str, script: str, *arguments: object, environment: dict[str, str] | None = None, seconds: float = 300.0
-) -> dict[str, Any]:
-    """Run one of our scripts in a Python with bpy; what it writes as its last line of stdout, in JSON, comes back."""
+    python: str, script: str, *arguments: object, environment: dict[str, str] | None = None, seconds: float = 300.0,
+    steady: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Run one of our scripts in a Python with bpy; what it writes as its last line of stdout, in JSON, comes back.
+
+    Args:
+        steady: no exception may be printed, also none that Blender prints of a handler and goes on.
+    """
     if not python:
         pytest.skip("$CHONA_BPY names no Python with bpy")
     full = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "CHONA_WORKER"))}
@@ -58,6 +63,8 @@ def run_bpy(
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     if done.returncode != 0 or not lines:
         raise AssertionError(f"{script} ended with {done.returncode}\n{done.stdout[-4000:]}\n{done.stderr[-6000:]}")
+    if steady and "Traceback" in done.stdout + done.stderr:
+        raise AssertionError(f"{script} printed an exception\n{done.stdout[-4000:]}\n{done.stderr[-6000:]}")
     return json.loads(lines[-1])
 
 
@@ -67,6 +74,24 @@ def needs_worker(python: str) -> None:
         pytest.skip("$CHONA_BPY names no Python with bpy")
     pytest.importorskip("torch")
     sys.path.insert(0, str(ROOT / "tests" / "model"))
+
+
+def write_two_models(folder: Path) -> tuple[Path, Path]:
+    """Small models of the same person and object that look different; for tests that ``needs_worker``."""
+    sys.path.insert(0, str(ROOT / "tests" / "faults"))
+    import torch
+    from untrained_models import write_grid_model
+
+    from chona_model.grid_actor import GridActor
+    from chona_model.model_store import load_actor, save_actor
+
+    one, other = write_grid_model(folder / "one.safetensors"), folder / "other.safetensors"
+    actor = load_actor(one)
+    assert isinstance(actor, GridActor)
+    with torch.no_grad():
+        actor.model.field.density_out.bias.fill_(4.0)
+    save_actor(other, actor, "chona", {"preset": "fast"}, {"steps": 2})
+    return one, other
 
 
 def write_header_only_model(path: Path, version: int = 1) -> Path:

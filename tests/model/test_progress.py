@@ -68,6 +68,14 @@ def test_updates_are_limited_and_the_last_is_written() -> None:
     assert len(written) <= 1000 * 0.01 / UPDATE_SECONDS + 2 and written[-1] == 1000
 
 
+def test_what_is_finished_for_good_is_said_at_once() -> None:
+    progress, output, _ = reporter()
+    progress.start("bake", 10)
+    for done in range(1, 4):
+        progress.update(done, at_once=done == 2)
+    assert [event["done"] for event in events(output)[1:]] == [1, 2]
+
+
 @pytest.mark.parametrize("end", ["result", "cancelled"])
 def test_a_held_update_is_written_before_the_end(end: str) -> None:
     progress, output, _ = reporter()
