@@ -324,5 +324,5 @@ class _Loop:
         return round(min(self.spent, self.budget), 2) if self.budget is not None else self.done
 
     def _tell(self, progress: Progress, report: dict[str, float]) -> None:
-        shown = {name: report[name] for name in ("loss", "psnr", "preview_psnr") if name in report}
+        shown: dict[str, Any] = {name: report[name] for name in ("loss", "psnr", "preview_psnr") if name in report}
         progress.update(self._shown(), f"step {self.done}", **shown)
