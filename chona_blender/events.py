@@ -124,8 +124,8 @@ def fields(content: Mapping[str, Any], known: Mapping[str, Check]) -> dict[str, 
 
 
 PACKAGES = {
-    "python": listed(count, exactly=3), "executable": text, "missing": listed(text), "broken": mapped(text),
-    "versions": mapped(text), "notes": listed(listed(text, exactly=3)),
+    "python": listed(count, exactly=3), "missing": listed(text), "broken": mapped(text), "versions": mapped(text),
+    "notes": listed(listed(text, exactly=3)),
 }  # fmt: skip
 """What a worker's Python says of itself, at least."""
 
@@ -145,7 +145,7 @@ FIELDS: dict[str, Check] = {
     "frames": count, "presets": mapped(record({"seconds_per_frame": amount, "total_seconds": amount})),
     "headline": text, "sound": flag, "sequences": listed(record(SEQUENCE)),
     # a Python and an environment
-    **PACKAGES, "torch": text, "torch_cuda": optional(text), "cuda": text, "chona_model": text,
+    **PACKAGES, "executable": text, "torch": text, "torch_cuda": optional(text), "cuda": text, "chona_model": text,
     "base": record({"path": text, "version": listed(count, exactly=3), "lacks": listed(text)}),
     "environment": text, "check": record(PACKAGES), "bytes": count,
     # live pictures
