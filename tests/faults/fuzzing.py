@@ -1,6 +1,7 @@
 """Runs families of spoiled input in a process of its own: limited memory, a watchdog, and only clear errors allowed.
 
-``python fuzzing.py MODULE FAMILY EXAMPLES FOLDER`` tries so many; it prints what broke the promise and fails.
+``python fuzzing.py MODULE FAMILY EXAMPLES FOLDER`` tries so many; it prints what broke the promise and fails. The same
+are tried again with the same CHONA_SEED, 0 if there is none.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, Phase, Verbosity, given, settings
+from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from hypothesis import strategies as st
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 MORE_MEMORY = 1 << 30
 """Bytes beyond what the process has when the first input comes."""
+SEED = int(os.environ.get("CHONA_SEED", "0"))
 CPU_SECONDS, SECONDS = 5.0, 60.0
 """Of one input: a busy machine may let it wait."""
 
@@ -69,10 +71,10 @@ def run(module: str, family: str, examples: int, folder: Path) -> str:
     if pages:
         limit = pages * os.sysconf("SC_PAGE_SIZE") + MORE_MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    many = os.environ.get("CHONA_FAULTS") == "all"
 
+    @seed(SEED)
     @settings(
-        max_examples=examples, deadline=None, database=None, derandomize=not many,
+        max_examples=examples, deadline=None, database=None,
         suppress_health_check=list(HealthCheck), phases=[Phase.generate, Phase.shrink], print_blob=False,
         report_multiple_bugs=False, verbosity=Verbosity.quiet,
     )  # fmt: skip
@@ -95,7 +97,7 @@ def run(module: str, family: str, examples: int, folder: Path) -> str:
     tried()
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     assert grown < 3 * MORE_MEMORY, f"{grown} bytes were in use"
-    return f"{family}: {counts[False]} refused, {counts[True]} read"
+    return f"{family}: {counts[False]} refused, {counts[True]} read, seed {SEED}"
 
 
 def start(module: str, family: str, examples: int, folder: Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -15,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "blender"))
 
-from fuzzing import CPU_SECONDS, SECONDS, start
+from fuzzing import CPU_SECONDS, SECONDS, SEED, start
 from mutations import deep_json, spoiled_bytes, spoiled_json
 from operation_helpers import bpy_pythons, run_bpy, write_header_only_model
 from worker_messages import BAKED, EVENTS, FRAME, LOG, PIXELS, PROGRESS, READY, RESULTS, answers, line
@@ -266,9 +265,10 @@ def _write_streams(folder: Path, examples: int) -> int:
     """Files ``KIND-NUMBER``; how many."""
     made = count()
 
+    @seed(SEED)
     @settings(
         max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck),
-        derandomize=os.environ.get("CHONA_FAULTS") != "all", phases=[Phase.generate],
+        phases=[Phase.generate],
     )  # fmt: skip
     @given(spoiled_stream())
     def write(stream: tuple[str, bytes]) -> None:
