@@ -16,8 +16,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import secrets
-import socket
 import threading
 import time
 from collections import deque
@@ -171,7 +171,7 @@ class Claim:
         return _parse(content).get("token") == self._token
 
     def _record(self) -> bytes:
-        content = {"host": socket.gethostname(), "pid": os.getpid(), "state": self._state, "beats": self._beats,
+        content = {"host": platform.node(), "pid": os.getpid(), "state": self._state, "beats": self._beats,
                    "token": self._token, "key": self._key}  # fmt: skip
         return json.dumps(content).encode().ljust(RECORD_BYTES - 1) + b"\n"
 

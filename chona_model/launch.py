@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import socket
+import platform
 from dataclasses import dataclass
 
 UNNAMED = "none"
@@ -40,5 +40,5 @@ def read_launch() -> Launch:
                     "TORCHELASTIC_MAX_RESTARTS")
     )  # fmt: skip
     # The launcher outlives the processes that it starts, so it tells one job from the next.
-    job = name if name != UNNAMED else f"{socket.gethostname()}:{os.getppid()}"
+    job = name if name != UNNAMED else f"{platform.node()}:{os.getppid()}"
     return Launch(rank, size, local_rank, local_size, attempt, max(attempts - attempt, 0), job)

@@ -8,8 +8,8 @@ it hears no more of the first, no frame is rendered twice.
 from __future__ import annotations
 
 import json
+import platform
 import secrets
-import socket
 import subprocess
 import sys
 import tempfile
@@ -101,7 +101,7 @@ def bake_chunk(words: Sequence[str], job: str) -> dict[str, int]:
                 process.terminate()  # it ends after its frame
         last = _last_line(output)
         if process.returncode != 0 and not stop.is_set():
-            raise FarmError(f"{_last_line(said) or f'exit code {process.returncode}'} (on {socket.gethostname()})")
+            raise FarmError(f"{_last_line(said) or f'exit code {process.returncode}'} (on {platform.node()})")
     event: dict[str, Any] = json.loads(last) if last else {}
     return {name: int(event.get(name, 0)) for name in COUNTS}
 

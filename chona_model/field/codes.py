@@ -66,19 +66,23 @@ def draw_invariant_codes(
     n_objects: int,
     seed: int,
     step: int,
+    background: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Compositional invariant learning: what a person looks like must not depend on the object's code, nor the reverse.
 
-    On rays of the person every object index is replaced by a random one, on rays of an object the person's; rays of
-    the background keep theirs.  Present identities are replaced by identities, so with a single one nothing changes.
-    Absent ones may stay absent: they are drawn from the identities and absence, equally likely, so that a person
-    captured alone also learns to be seen with objects.
+    On rays of the person every object index is replaced by a random one, on rays of an object the person's.  Rays of
+    the background keep theirs, as in the paper, or are taken for either by lot: where identities have tables of their
+    own and exchanged codes are only ever seen on the person, nothing tells them where it ends, and it grows fat.  In
+    one field for all, the place of another object would be told to be empty.  Present identities are replaced by
+    identities, so with a single one nothing changes.  Absent ones may stay absent: they are drawn from the identities
+    and absence, equally likely, so that a person captured alone also learns to be seen with objects.
 
     Args:
         persons: [R] index or −1; objects: [R, N] index or −1.
         on_person, on_object: [R] bool, disjoint.
         n_persons, n_objects: identities to draw from.
         seed, step: what the draw depends on; nothing else does, neither masks nor device.
+        background: whether rays of the background are exchanged, too.
 
     Returns:
         persons [R], objects [R, N] with the drawn indices; the inputs are not changed.
@@ -95,6 +99,10 @@ def draw_invariant_codes(
     # Uniform numbers are drawn for all rays whatever the masks say; floor(u · n) needs no division or modulus.
     uniform = torch.rand(len(persons), 1 + objects.shape[1], generator=generator, dtype=torch.float64)
     uniform = uniform.to(persons.device)
+    if background:
+        heads = torch.rand(len(persons), generator=generator, dtype=torch.float64).to(persons.device) < 0.5
+        nothing = ~(on_person | on_object)
+        on_person, on_object = on_person | (nothing & heads), on_object | (nothing & ~heads)
     drawn_persons = _draw(uniform[:, 0], persons, n_persons)
     drawn_objects = _draw(uniform[:, 1:], objects, n_objects)
     return (

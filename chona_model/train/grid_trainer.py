@@ -139,7 +139,7 @@ class GridTrainer:
         mine = together.mine(len(part))
         drawn = [rays.only(own) for rays, own in zip(drawn, np.split(mine, _ends(drawn)), strict=True)]
         pairs, ray_pair = ray_codes(
-            self.model, self.posed, pose, exchange=self.method.invariant_codes, seed=self.seed, step=index
+            self.model, self.posed, pose, part, exchange=self.method.invariant_codes, seed=self.seed, step=index
         )
         batch = Batch(
             figures, [self.grids[number] for number in chosen], drawn, random.random(len(part), dtype=np.float32),

@@ -4,7 +4,7 @@ what went wrong, and the others are silent."""
 from __future__ import annotations
 
 import json
-import socket
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
@@ -47,7 +47,7 @@ def joined(progress: Progress) -> Iterator[None]:
     except Exception as error:
         told = _first_error(store, launch, error)
         own = told == _told(error)
-        progress.quiet = not own and (launch.local_rank > 0 or told["host"] == socket.gethostname())
+        progress.quiet = not own and (launch.local_rank > 0 or told["host"] == platform.node())
         if own or progress.quiet:
             raise
         raise CompanionLost(f"on {told['host']}: {told['message']}") from error
@@ -66,7 +66,7 @@ def _meet(launch: Launch) -> dist.Store:
 
 def _told(error: Exception) -> dict[str, str]:
     rank = str(read_launch().rank)
-    return {"host": socket.gethostname(), "rank": rank, "message": str(error) or type(error).__name__}
+    return {"host": platform.node(), "rank": rank, "message": str(error) or type(error).__name__}
 
 
 def _first_error(store: dist.Store, launch: Launch, error: Exception) -> dict[str, str]:

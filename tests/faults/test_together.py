@@ -300,7 +300,7 @@ def test_a_stopped_training_is_continued_by_both(folder: Path, both, way: str) -
 
 def test_a_checkpoint_of_another_job_is_not_continued_by_the_launcher(tmp_path: Path) -> None:
     assert saved_by(tmp_path) == ""
-    for position, job in (({"step": 1, "job": "monday"}, "monday"), ({"step": 1}, "")):
+    for position, job in (({"step": 1, "seconds": 0.5, "job": "monday"}, "monday"), ({"step": 1, "seconds": 0.5}, "")):
         save_checkpoint(tmp_path, {"value": torch.zeros(1)}, position, {})
         assert saved_by(tmp_path) == job
 

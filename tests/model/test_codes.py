@@ -24,6 +24,17 @@ def test_only_the_other_code_is_drawn() -> None:
     assert ((torch.bincount(persons[400:]) - 50).abs() < 31).all()
 
 
+def test_a_ray_of_the_background_is_exchanged_as_one_or_the_other() -> None:
+    both = PERSONS, OBJECTS, ON_PERSON, ON_OBJECT
+    persons, objects = draw_invariant_codes(*both, **COUNTS, seed=1, step=7, background=True)
+    kept = draw_invariant_codes(*both, **COUNTS, seed=1, step=7)
+    assert torch.equal(persons[400:], kept[0][400:]) and torch.equal(objects[:200], kept[1][:200])
+    moved = (persons != PERSONS)[200:400], (objects != OBJECTS).any(dim=1)[200:400]
+    assert not (moved[0] & moved[1]).any()
+    # Half of 200 rays each; a draw of 4 persons, or of two out of 3 objects, changes 3 of 4 and 8 of 9.
+    assert 50 < moved[0].sum() < 100 and 65 < moved[1].sum() < 115
+
+
 def test_the_draw_depends_on_seed_and_step_alone() -> None:
     def draw(seed: int, step: int, mask: torch.Tensor = ON_OBJECT) -> torch.Tensor:
         return draw_invariant_codes(PERSONS, OBJECTS, ON_PERSON, mask, **COUNTS, seed=seed, step=step)[0]

@@ -14,7 +14,7 @@ from tiny_runs import train
 from torch import Tensor
 
 import chona_model.train.run as loop
-from chona_model.train.checkpoint import load_checkpoint
+from chona_model.train.checkpoint import Position, load_checkpoint
 from chona_model.train.errors import TrainingError, decibels
 from chona_model.train.guard import Guard, GuardSettings, GuardState
 from chona_model.train.log import TrainingLog, kept_lines
@@ -165,7 +165,7 @@ def test_a_ruined_checkpoint_is_not_continued(disk, monkeypatch) -> None:
     dataset = tiny_capture(disk / "capture", frames=1, cameras=1)
     train(monkeypatch, dataset, disk / "run", lambda d, r: Scripted(lambda step: 0.3), steps=3)
     monkeypatch.setattr(
-        loop, "load_checkpoint", lambda *_: ({"w": torch.tensor([math.inf])}, {"step": 3, "seconds": 1})
+        loop, "load_checkpoint", lambda *_: ({"w": torch.tensor([math.inf])}, Position(step=3, seconds=1.0))
     )
     with pytest.raises(TrainingError, match="after step 3 1 of 1 numbers of 'w'"):
         train(monkeypatch, dataset, disk / "run", lambda d, r: Scripted(lambda step: 0.3), steps=6, resume=True)
