@@ -7,6 +7,7 @@ so neither do results.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -30,6 +31,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="chona")
 
 
+if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 def in_pieces(function: Callable[[int, int], Any], count: int, piece: int) -> list[Any]:
     """Calls ``function(begin, end)`` on pieces of ``range(count)`` on as many threads as numba uses.
 
@@ -42,6 +47,7 @@ def in_pieces(function: Callable[[int, int], Any], count: int, piece: int) -> li
     """
     threads = get_num_threads()
     bounds = [(begin, min(begin + piece, count)) for begin in range(0, count, piece)]
-    if threads == 1 or len(bounds) == 1:
+    # Not in the main thread: where a signal raises an exception while numba makes tuples of results, it crashes.
+    if (threads == 1 or len(bounds) == 1) and threading.current_thread() is not threading.main_thread():
         return [function(*bound) for bound in bounds]
     return list(_pool(threads).map(lambda bound: function(*bound), bounds))

@@ -49,12 +49,15 @@ def start(words: list[str], **more: Any) -> subprocess.Popen[str]:
 
 
 def run(words: list[str], **more: Any) -> subprocess.CompletedProcess[str]:
-    """Runs a program to its end, whatever that is."""
-    with start(words, **more) as process:
+    """Runs a program to its end, whatever that is; its standard input stays open until then."""
+    reader, writer = os.pipe()
+    with start(words, stdin=reader, **more) as process:
         try:
             output, errors = process.communicate(timeout=SECONDS)
         finally:
             process.kill()
+            os.close(reader)
+            os.close(writer)
     return subprocess.CompletedProcess(words, process.returncode, output, errors)
 
 

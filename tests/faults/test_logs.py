@@ -108,7 +108,7 @@ def test_the_bundle_tells_what_is_needed_and_no_secrets(tmp_path: Path) -> None:
     for secret in ("anna", "films", str(tmp_path), "0.123456", rf"\b{re.escape(os.uname().nodename)}\b"):
         assert not re.search(secret, everything), secret
     assert "numpy" in texts["packages.txt"] and "torch" in texts["doctor.txt"]
-    assert "Traceback" in texts["logs/chona.log"] and "--shot walk.shot.npz" in texts["logs/chona.log"]
+    assert "Traceback" in texts["logs/chona.log"] and "--shot 'walk.shot.npz'" in texts["logs/chona.log"]
     assert '"loss": 2.5' in texts["01-run/log.jsonl.txt"] and "preview.png" in texts["01-run/files.txt"]
     header = json.loads(texts["01-run/model.safetensors.header.json"])
     assert header["chona"]["training"] == {"steps": 7, "data": "a film"}
