@@ -57,6 +57,7 @@ def known(output: Output) -> frozenset[int] | None:
         _Known.output, _Known.numbers, _Known.seen = output, None, 0.0
     if _Known.look is None and time.monotonic() - _Known.seen > FRESH_SECONDS:
         _Known.look = _Look(output)
+    if _Known.look is not None and not bpy.app.timers.is_registered(_deliver):  # a file that is opened ends timers
         bpy.app.timers.register(_deliver, first_interval=DELIVER_SECONDS)
     return _Known.numbers
 

@@ -158,7 +158,8 @@ def killed_words(record: JobRecord | None, lines: Sequence[str]) -> str:
         return f"{words}; it had not begun: start it again"
     if told.get("job") != "bake":
         return f"{words}; with Resume it goes on from its last checkpoint"
-    return f"{words}; {told.get('done') or 0:g} of {told.get('total') or 0:g} frames are there: press Bake to go on"
+    share = f"{told.get('done') or 0:g} of {told.get('total') or 0:g}"
+    return f"{words}; {share} frames were done: press Bake to go on with the rest"
 
 
 def ask_to_end(path: Path) -> None:
