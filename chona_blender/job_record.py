@@ -159,7 +159,8 @@ def left_words(record: JobRecord) -> str:
         return "it had not begun: start it again"
     if told.get("job") != "bake":
         return "with Resume it goes on from its last checkpoint"
-    return f"{told.get('done') or 0:g} of {told.get('total') or 0:g} frames are there: press Bake to go on"
+    share = f"{told.get('done') or 0:g} of {told.get('total') or 0:g}"
+    return f"{share} frames were done: press Bake to go on with the rest"
 
 
 def ask_to_end(path: Path) -> None:

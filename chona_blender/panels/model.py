@@ -104,11 +104,10 @@ def draw_news(layout: bpy.types.UILayout) -> None:
     """What became of jobs that went on while Blender was closed."""
     told = jobs.news()
     if told:
-        row = layout.box().row()
-        column = row.column()
+        box = layout.box()
         for words in told:
-            wrapped(column, words, icon="INFO", context=bpy.context)
-        row.operator("chona.dismiss_news", text="", icon="X", emboss=False)
+            wrapped(box, words, icon="INFO", context=bpy.context)
+        box.operator("chona.dismiss_news", icon="X")
 
 
 CLASSES = (CHONA_UL_actors, CHONA_PT_main)

@@ -161,7 +161,7 @@ def test_ends_are_told_once(python: str, tmp_path: Path) -> None:
     assert killed["error"].startswith(
         "Bake walk ended without Blender: the worker was killed, or the computer went down"
     )
-    assert killed["error"].endswith("12 of 50 frames are there: press Bake to go on")
+    assert killed["error"].endswith("12 of 50 frames were done: press Bake to go on with the rest")
     assert failed["error"].startswith("Bake walk failed at ") and failed["error"].endswith(": the disk is full")
     assert all((each["news"], each["error"]) == ([], "") for each in (damaged, elsewhere))
     assert damaged["left"] == elsewhere["left"] == [".chona-bake-foreign.json", ".chona-bake-other.json"]
