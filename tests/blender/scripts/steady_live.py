@@ -92,9 +92,7 @@ def camera_and_scene() -> None:
     told("camera removed")
     scene.collection.objects.link(camera)
     scene.camera = camera
-    for area in window.screen.areas:
-        if area.type == "VIEW_3D":
-            area.spaces.active.region_3d.view_perspective = "CAMERA"
+    stage.look_through_camera()
     mended("camera removed")
     other = bpy.data.scenes.new("Other")
     window.scene = other
@@ -103,6 +101,7 @@ def camera_and_scene() -> None:
         preview.tick()
     answer["other scene"] = [preview.is_on_for(scene), preview.error, preview._asked.number - number]
     window.scene = scene
+    stage.look_through_camera()  # Blender leaves the camera's view of a scene without one
     scene.chona.armature.location.z += 0.1
     answer["scene again"] = []
     mended("scene again")
