@@ -142,6 +142,7 @@ def panel_looks() -> None:
         new = content if name == "one" else model.with_name("stranger.safetensors").read_bytes()
         replace(model, new)
         found.append(list(model_cache.cached(str(model)).persons))
+        model_cache._looked.clear()  # it was looked at a moment ago
         model_cache._look_later(str(model))
         model_cache._look_later(str(model))
         threads = len(looking._under_way)
@@ -149,7 +150,7 @@ def panel_looks() -> None:
         while looking._deliver() is not None:
             time.sleep(0.01)
         found.append([threads, asked, *model_cache.cached(str(model)).persons])
-        model_cache._looked.clear()
+    model_cache._looked.clear()
     model_cache._look_later(str(model))
     bpy.ops.wm.read_factory_settings()
     answer["timer stays"] = bpy.app.timers.is_registered(looking._deliver)
