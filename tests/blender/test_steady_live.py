@@ -50,7 +50,7 @@ def test_camera_and_scene_go(answer: dict) -> None:
 def test_another_model_is_shown(answer: dict) -> None:
     there, error, change = answer["other model"]
     assert (there, error) == (True, "") and change > 0.05
-    check_told_and_mended(answer["stranger"], "has no person 'Sub01'. It has: 'Sub02'. Choose one")
+    check_told_and_mended(answer["stranger"], "has no object 'box01'. It has: 'box02'. Choose one")
     assert answer["button"] == "The model has no person Sub01: choose one under Rig"
 
 

@@ -92,9 +92,7 @@ def camera_and_scene() -> None:
     told("camera removed")
     scene.collection.objects.link(camera)
     scene.camera = camera
-    for area in window.screen.areas:
-        if area.type == "VIEW_3D":
-            area.spaces.active.region_3d.view_perspective = "CAMERA"
+    stage.look_through_camera()
     mended("camera removed")
     other = bpy.data.scenes.new("Other")
     window.scene = other
@@ -103,6 +101,7 @@ def camera_and_scene() -> None:
         preview.tick()
     answer["other scene"] = [preview.is_on_for(scene), preview.error, preview._asked.number - number]
     window.scene = scene
+    stage.look_through_camera()  # Blender leaves the camera's view of a scene without one
     scene.chona.armature.location.z += 0.1
     answer["scene again"] = []
     mended("scene again")
@@ -143,6 +142,7 @@ def panel_looks() -> None:
         new = content if name == "one" else model.with_name("stranger.safetensors").read_bytes()
         replace(model, new)
         found.append(list(model_cache.cached(str(model)).persons))
+        model_cache._looked.clear()  # it was looked at a moment ago
         model_cache._look_later(str(model))
         model_cache._look_later(str(model))
         threads = len(looking._under_way)
@@ -150,7 +150,7 @@ def panel_looks() -> None:
         while looking._deliver() is not None:
             time.sleep(0.01)
         found.append([threads, asked, *model_cache.cached(str(model)).persons])
-        model_cache._looked.clear()
+    model_cache._looked.clear()
     model_cache._look_later(str(model))
     bpy.ops.wm.read_factory_settings()
     answer["timer stays"] = bpy.app.timers.is_registered(looking._deliver)

@@ -76,5 +76,6 @@ bpy.ops.chona.steady_bake()
 answer["bake"] = [stage.finish(), stage.names_in(folder / "frames")]
 answer["last"] = [jobs.board.last.status, jobs.last_error()]
 images = [each.name for each in bpy.data.images]
-answer["current"] = [sorted(bpy.ops.chona.bake(current=True)), images == [each.name for each in bpy.data.images]]
+bpy.ops.chona.steady_bake(current=True)
+answer["current"] = [stage.finish(), images == [each.name for each in bpy.data.images]]
 say(answer)

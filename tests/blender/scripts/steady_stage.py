@@ -74,11 +74,16 @@ def furnish(model: Path, out: Path) -> bpy.types.Scene:
     settings.armature.keyframe_insert("location", frame=1)
     settings.armature.location.x = 0.3
     settings.armature.keyframe_insert("location", frame=FRAMES)
+    look_through_camera()
+    bpy.context.view_layer.update()
+    return scene
+
+
+def look_through_camera() -> None:
+    """As Numpad 0 does in every 3D view."""
     for area in bpy.context.window_manager.windows[0].screen.areas:
         if area.type == "VIEW_3D":
             area.spaces.active.region_3d.view_perspective = "CAMERA"
-    bpy.context.view_layer.update()
-    return scene
 
 
 def begin_bake(frames: int = 2) -> jobs.Job:
@@ -144,8 +149,8 @@ def timers() -> list[str]:
 
 def drawing() -> list[str]:
     """Our functions that Blender calls when it draws: it keeps the arguments of `draw_handler_add` for each."""
-    kept = [each for each in gc.get_objects() if type(each) is tuple and len(each) == 4]
-    return [each[0].__qualname__ for each in kept if is_ours(each[0]) and isinstance(each[3], str) and each[3] in DRAWN]
+    kept = [each for each in gc.get_objects() if type(each) is tuple and len(each) == 5]
+    return [each[1].__qualname__ for each in kept if is_ours(each[1]) and isinstance(each[4], str) and each[4] in DRAWN]
 
 
 def handlers() -> list[str]:

@@ -60,5 +60,10 @@ answer["killed"] = [stage.finish(), job.status, jobs.last_error(), rows()]
 answer["left"] = [stage.children(), stage.timers(), jobs.running() is None]
 train_rows.select(train_rows.rows()[0].key)
 answer["resume"] = bpy.ops.chona.resume_training.poll()
-answer["resumed"] = [sorted(bpy.ops.chona.resume_training()), rows()]
+train_queue.resume(train_rows.rows()[0])  # as the button; Blender forgets the operator that one here is made from
+answer["resumed"] = []
+while train_queue.next_waiting() is not None:
+    bpy.ops.chona.steady_trainings()
+    answer["resumed"].append(stage.finish())
+answer["rows"] = rows()
 say(answer)
