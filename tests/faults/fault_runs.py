@@ -42,10 +42,10 @@ def environment(**more: str) -> dict[str, str]:
 
 def start(words: list[str], **more: Any) -> subprocess.Popen[str]:
     """Starts a program."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(
-        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env=environment(**more.pop("variables", {})), **more,
-    )  # fmt: skip
+        [sys.executable, *words], text=True, env=environment(**more.pop("variables", {})), **{**pipes, **more}
+    )
 
 
 def run(words: list[str], **more: Any) -> subprocess.CompletedProcess[str]:
