@@ -81,7 +81,10 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> np.ndar
         header = _HEADER.fullmatch(file.read(min(length, 1 << 12)))
         if header is None:
             raise ArraysError(f"'{name}' is no plain array of numbers")
-        dtype = np.dtype(header[1].decode())
+        try:
+            dtype = np.dtype(header[1].decode())
+        except TypeError as error:
+            raise ArraysError(f"'{name}' has numbers of the unknown type {header[1].decode()}") from error
         shape = tuple(int(part.strip(b" L")) for part in header[3].split(b",") if part.strip())
         count = math.prod(shape) * dtype.itemsize if len(shape) <= MOST_DIMENSIONS else most + 1
         if count > most:

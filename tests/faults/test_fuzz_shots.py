@@ -128,6 +128,7 @@ def _bomb() -> bytes:
     [
         (lambda: packed({"header": npy("'<f8'", "(1000000000000,)")}), "more than"),
         (lambda: packed({"header": npy("'|O'", "()", b"cos\nsystem\n(S'true'\ntR.")}), "no plain array of numbers"),
+        (lambda: packed({"header": npy("'<f99'", "()")}), "numbers of the unknown type <f99"),
         (lambda: packed({"header": npy("-" * 9000 + "1", "()")}), "no plain array of numbers"),
         (_bomb, "more than"),
         (lambda: b"PK\x03\x04", "not a zip file"),
