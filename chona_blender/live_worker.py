@@ -6,6 +6,7 @@ Blender's data.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import subprocess
@@ -22,6 +23,9 @@ from .live_frames import Frame, read_answers
 
 KEPT_SECONDS = 60.0
 """How long a worker that nobody asks keeps its model in memory, in case the preview is switched on again."""
+
+ENDING_SECONDS = 0.5
+"""How long a process may take to end after its answers have."""
 
 _numbers = itertools.count(1)
 
@@ -142,6 +146,9 @@ class LiveWorker:
                     self._take(event, frame)
             except (ChonaError, OSError) as error:
                 problem = str(error)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    if self._process.wait(ENDING_SECONDS) != 0:  # its death is the reason, in the middle of an answer
+                        problem = ""
                 worker.kill_group(self._process)
         code = self._process.wait()
         self._listener.join(timeout=2.0)

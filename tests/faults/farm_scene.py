@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +17,9 @@ sys.path.insert(0, str(ROOT / "tests" / "model"))
 
 from ball_model import ball_actor  # noqa: E402
 
-from chona_model.bake import bake  # noqa: E402
 from chona_model.formats.exr import read_frame  # noqa: E402
 from chona_model.formats.shot import Shot, ShotActor, write_shot  # noqa: E402
 from chona_model.model_store import save_actor  # noqa: E402
-from chona_model.progress import Progress  # noqa: E402
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 """Of a process that finds this source tree."""
@@ -47,9 +47,16 @@ def write_scene(
     return model, path
 
 
-def baked(model: Path, shot: Path, out: Path, frames: tuple[int, ...] | None = None) -> Path:
-    """The folder of a bake by this process alone, preset draft."""
-    bake(model, shot, out, frames, "draft", False, Progress())
+def baked(model: Path, shot: Path, out: Path) -> Path:
+    """The folder of a bake by one process alone, preset draft.
+
+    It has its kernels from the cache, as those have that it is compared with: a process that compiles them itself may
+    round the last bit of a depth in another way.
+    """
+    words = [*CHONA, "bake", "--model", str(model), "--shot", str(shot), "--preset", "draft", "--device", "cpu"]
+    with tempfile.TemporaryDirectory() as compiled:
+        for folder in (Path(compiled), out):
+            subprocess.run([*words, "--out", str(folder)], env=ENVIRONMENT, check=True, capture_output=True)
     return out
 
 

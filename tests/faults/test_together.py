@@ -186,7 +186,7 @@ def assert_close(folder: Path, first: str, second: str) -> None:
     assert all(torch.equal(one[name], two[name]) for name in one.keys() - learned)
 
 
-@pytest.mark.parametrize("preset", ["fast", "paper"])
+@pytest.mark.parametrize("preset", ["fast", pytest.param("paper", marks=pytest.mark.slow)])
 def test_two_processes_learn_what_one_learns(folder: Path, alone, both, preset: str) -> None:
     assert_close(folder, alone(preset), both(preset))
 
