@@ -29,7 +29,7 @@ from chona_model.formats.shot_blur import (
     read_shutter,
     shutter_arrays,
 )
-from chona_model.formats.shot_checks import ShotError, check_intrinsics, check_rigid, check_shape
+from chona_model.formats.shot_checks import LARGEST_DEPTH, ShotError, check_intrinsics, check_rigid, check_shape
 from chona_model.plain_arrays import ArraysError, read_arrays
 from chona_model.plain_json import JsonError, decode, shortened
 
@@ -352,10 +352,11 @@ def _check_cameras(shot: Shot) -> None:
     check_rigid(shot.world_from_camera[:, None], shot.frames, ["the camera"])
     check_intrinsics(shot.intrinsics, shot.frames)
     for (near, far), frame in zip(shot.clip, shot.frames, strict=True):
-        if not (np.isfinite(near) and np.isfinite(far) and near < far) or (
-            near < 0 and shot.camera_kind == PERSPECTIVE
-        ):
-            raise ShotError(f"the camera's clip range in frame {frame} is {near} to {far}, expected 0 <= near < far")
+        if not -LARGEST_DEPTH <= near < far <= LARGEST_DEPTH or (near < 0 and shot.camera_kind == PERSPECTIVE):
+            raise ShotError(
+                f"the camera's clip range in frame {frame} is {near} to {far}, expected 0 <= near < far <= "
+                f"{LARGEST_DEPTH:.3g}; correct Clip Start and End of the camera"
+            )
 
 
 def _check_actor(actor: ShotActor, frames: np.ndarray) -> None:

@@ -12,6 +12,10 @@ FARTHEST = 1e8
 """Metres from the origin, and pixels of a focal length: beyond, nothing is told apart any more."""
 
 
+LARGEST_DEPTH = float(np.finfo(np.float32).max)
+"""Kernels, frames and Blender hold depths in single precision."""
+
+
 class ShotError(ValueError):
     """A shot that cannot be rendered: the message says what was found, what was expected and what to do."""
 

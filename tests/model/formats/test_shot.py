@@ -100,6 +100,7 @@ def _rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, ob
         (lambda a, h: a.update(frames=a["frames"][:0]), "the frame range is empty"),
         (lambda a, h: a.update({"camera.clip": a["camera.clip"][:2]}), r"camera.clip has the shape \(2, 2\), expected"),
         (lambda a, h: a["camera.clip"].__setitem__((1, 0), 200.0), "clip range in frame 4 is 200.0 to 100.0"),
+        (lambda a, h: a["camera.clip"].__setitem__((1, 1), 4e38), r"is 0.1 to 4e\+38, expected .* far <= 3.4e\+38"),
         (lambda a, h: a["camera.intrinsics"].__setitem__((2, 0, 0), -1.0), "intrinsics in frame 5 are"),
         (lambda a, h: a["camera.intrinsics"].__setitem__((2, 0, 0), np.nan), "intrinsics in frame 5 are not finite"),
         (lambda a, h: a["camera.world_from_camera"].__setitem__((0, 0, 0), 2), "the camera in frame -1 is scaled"),
