@@ -21,6 +21,8 @@ MOST_BYTES = 1 << 28
 """Of all arrays together, where the file itself is not larger: more is damage or an attack and never asked for."""
 
 MOST_HEADER = 1 << 24
+LONGEST_ARRAY_HEADER = 512
+"""Characters: ten thousand that are nested make Python say that there is no memory."""
 LONGEST = 200
 """Characters of an error's words: some repeat the file."""
 
@@ -125,4 +127,7 @@ def _npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     version = np.lib.format.read_magic(file)
     if version != (1, 0):
         raise ValueError(f"an array of numpy's format {version}, expected (1, 0)")
-    return np.lib.format.read_array_header_1_0(file)
+    try:
+        return np.lib.format.read_array_header_1_0(file, max_header_size=LONGEST_ARRAY_HEADER)
+    except ValueError as error:
+        raise ValueError("an array without the header that numpy writes") from error

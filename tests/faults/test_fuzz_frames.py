@@ -169,6 +169,17 @@ def test_one_chunk_is_not_unpacked_for_every_line(tmp_path: Path, whole: bytes) 
         check_exr(path)
 
 
+def test_a_stand_ins_nested_array_header_is_no_lack_of_memory(tmp_path: Path) -> None:
+    from chona_blender.errors import ChonaError
+    from chona_blender.standin_file import read_stand_in
+
+    path = tmp_path / "a.npz"
+    path.write_bytes(packed({"header": npy("-" * 9000 + "1", "()")}))
+    with pytest.raises(ChonaError, match="an array without the header that numpy writes") as caught:
+        read_stand_in(path, 2)
+    assert not isinstance(caught.value.__cause__, MemoryError)
+
+
 def test_a_stand_in_bomb_is_refused(tmp_path: Path) -> None:
     from chona_blender.errors import ChonaError
     from chona_blender.standin_file import read_stand_in
