@@ -74,8 +74,9 @@ def read_stand_in(path: Path, bones: int) -> tuple[PartMesh, ...]:
             header = json.loads(_array(archive, "header", np.uint8, (None,)).tobytes())
             json.dumps(header, ensure_ascii=False).encode()  # half a surrogate pair passes the parser
             if header.get("format") != FORMAT or header.get("version") != VERSION:
+                found, version = (str(header.get(name))[:LONGEST] for name in ("format", "version"))
                 raise ChonaError(
-                    f"{path} is a {header.get('format')!r} of version {header.get('version')}, expected a {FORMAT!r} "
+                    f"{path} is a {found!r} of version {version}, expected a {FORMAT!r} "
                     f"of version {VERSION}; install the CHONA extension again, so that add-on and worker match"
                 )
             return tuple(_part(archive, index, each, bones) for index, each in enumerate(header["parts"]))
