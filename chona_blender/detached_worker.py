@@ -6,7 +6,6 @@ A thread looks at the file, which may lie on a slow drive; what it finds is take
 from __future__ import annotations
 
 import contextlib
-import queue
 import subprocess
 import threading
 import time
@@ -37,8 +36,8 @@ class DetachedWorker:
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.cancelled_at: float | None = None
         self._process = process
-        self._queue: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._record: JobRecord | None = None
+        self._told: list[dict[str, Any]] = []
         self._stamp, self._changed_at = -1, time.monotonic()
         self._code: int | None = None
         self._closed = threading.Event()
@@ -72,11 +71,7 @@ class DetachedWorker:
             job_record.ask_to_end(self.record_path)  # the worker takes away what it finds when it begins
         alive = self._is_alive()  # before the file is read: what it says last is not missed
         record = job_record.read_record(self.record_path)
-        before = self._record.events if self._record is not None else []
         if record is not None:
-            for event in record.events:
-                if event not in before:
-                    self._queue.put(event)
             self._record = record
         if not alive:
             self.lines.extend(job_record.last_lines(self.record_path))
@@ -106,11 +101,8 @@ class DetachedWorker:
 
     def events(self) -> list[dict[str, Any]]:
         """What is new in the file since the last call."""
-        found = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                found.append(self._queue.get_nowait())
-        return found
+        before, self._told = self._told, self._record.events if self._record is not None else []
+        return [event for event in self._told if event not in before]
 
     def code(self) -> int | None:
         """The exit code once the process has ended, else None; what it has left in the folder is removed then."""

@@ -6,12 +6,10 @@ import time
 from functools import partial
 from pathlib import Path
 
-import bpy
-
 from . import looking
+from .areas import redraw_areas
 from .errors import ChonaError
 from .frames import find_baked_frames
-from .jobs import redraw_sidebars
 from .output import Output
 
 FRESH_SECONDS = 2.0
@@ -55,7 +53,7 @@ def _take(numbers: frozenset[int]) -> None:
         changed = numbers != _Known.numbers
         _Known.numbers, _Known.seen = numbers, time.monotonic()
         if changed:
-            redraw_sidebars(bpy.context)
+            redraw_areas("VIEW_3D")
 
 
 def forget() -> None:

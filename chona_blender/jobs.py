@@ -11,10 +11,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
 
+from .areas import redraw_areas
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .worker import Worker
@@ -123,6 +125,7 @@ class Job:
         self.poll()
 
 
+@dataclass
 class _Board:
     """The job that runs and the last one that ended: what the panels show; and what the running one has of Blender.
 
@@ -133,11 +136,10 @@ class _Board:
     current: Job | None = None
     last: Job | None = None
     timer: bpy.types.Timer | None = None
-    told: set[int]
+    told: set[int] = field(default_factory=set)
 
 
 board = _Board()
-board.told = set()
 
 
 def let_go() -> None:
@@ -263,7 +265,7 @@ class JobOperator:
             return {"PASS_THROUGH"}
         job = self._job
         ended = job.poll()
-        redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         if not ended:
             if context.workspace is not None:
                 words = f"{job.title}: {job.text}" + "   |   ESC: cancel" * self.escapes
@@ -297,14 +299,6 @@ class JobOperator:
             self.report({"WARNING"}, job.error)
             return {"CANCELLED"}
         return fail(self, ChonaError(job.error), job.title)
-
-
-def redraw_sidebars(context: bpy.types.Context) -> None:
-    """Have every 3D view's panels drawn again."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 def fail(operator: bpy.types.Operator, error: ChonaError, job: str = "") -> set[str]:

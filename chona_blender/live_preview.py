@@ -14,9 +14,10 @@ import bpy
 import numpy as np
 
 from . import actions, preferences
+from .areas import redraw_areas
 from .camera import ImageFormat, image_format
 from .errors import ChonaError
-from .jobs import redraw_sidebars, sentence
+from .jobs import sentence
 from .live_facts import Facts, facts_of
 from .live_frames import Frame
 from .live_kept import Stamp, kept_models, kept_worker
@@ -268,7 +269,7 @@ class LivePreview:
         redraw_views(scene)
         if error != self.error:
             self.error = error
-            redraw_sidebars(bpy.context)
+            redraw_areas("VIEW_3D")
 
 
 def _same(one: Shot, other: Shot) -> bool:

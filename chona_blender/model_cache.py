@@ -14,8 +14,8 @@ from typing import NamedTuple
 import bpy
 
 from . import looking
+from .areas import redraw_areas
 from .errors import ChonaError
-from .jobs import redraw_sidebars
 from .model_header import ModelHeader, read_model_header
 
 FRESH_SECONDS = 2.0
@@ -106,7 +106,7 @@ def _take(full: str, found: _Known) -> None:
         for actor in scene.chona.actors if scene.library is None else ():
             if found.header is not None and bpy.path.abspath(actor.model_path) == full:
                 actor.refresh_bones()
-    redraw_sidebars(bpy.context)
+    redraw_areas("VIEW_3D")
 
 
 def cached(path: str) -> ModelHeader | None:

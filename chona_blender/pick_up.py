@@ -6,15 +6,16 @@ other, and says how the others have ended.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from . import frames_there, job_record, jobs, train_rows
+from . import frames_there, job_record, jobs, looking, train_rows
+from .areas import redraw_areas
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .events import need
@@ -163,29 +164,20 @@ def baked_words(result: dict[str, Any]) -> str:
     return f"{words}, {skipped} left as they were" if skipped else words
 
 
-class _Look(threading.Thread):
-    """A look into all places; `found` is there once it has ended."""
-
-    def __init__(self, at: list[Place]) -> None:
-        super().__init__(daemon=True)
-        self.at = at
-        self.found: list[Found] = []
-        self.start()
-
-    def run(self) -> None:
-        self.found = [found for found in map(look_into, self.at) if found is not None]
-
-
 class _State:
-    """The look that goes on, and the jobs that run and are not shown yet."""
+    """The look whose answer counts, and the jobs that run and are not shown yet."""
 
-    look: _Look | None = None
+    look: object = None
     waiting: list[Place] = []
 
 
 def look_now() -> None:
     """Look into all places, tell what has ended, and have what runs wait to be shown."""
-    _take([found for found in map(look_into, places()) if found is not None])
+    _take(_look_into_all(places()))
+
+
+def _look_into_all(at: list[Place]) -> list[Found]:
+    return [found for found in map(look_into, at) if found is not None]
 
 
 def _take(all_found: list[Found]) -> None:
@@ -212,13 +204,7 @@ def take_next() -> tuple[Place, jobs.Job]:
     raise ChonaError("no job of this file goes on without Blender")
 
 
-def _deliver() -> float | None:
-    if _State.look is not None:
-        if _State.look.is_alive():
-            return LOOK_SECONDS
-        _take(_State.look.found)
-        _State.look = None
-        jobs.redraw_sidebars(bpy.context)
+def _show_next() -> float | None:
     windows = bpy.context.window_manager.windows
     if _State.waiting and windows and jobs.running() is None:
         with bpy.context.temp_override(window=windows[0]):
@@ -228,8 +214,16 @@ def _deliver() -> float | None:
 
 def _begin() -> None:
     """Start a look; a file is open now, which it is not yet while add-ons are switched on."""
-    _State.waiting, _State.look = [], _Look(places())
-    bpy.app.timers.register(_deliver, first_interval=LOOK_SECONDS)
+    look = _State.look = object()
+    looking.look(partial(_look_into_all, places()), partial(_tell_and_show, look))
+
+
+def _tell_and_show(look: object, all_found: list[Found]) -> None:
+    if look is not _State.look:  # it was into the folders of another file
+        return
+    _take(all_found)
+    redraw_areas("VIEW_3D")
+    bpy.app.timers.register(_show_next)
 
 
 @bpy.app.handlers.persistent
@@ -251,7 +245,7 @@ class DetachableOperator(jobs.JobOperator):
 
 def forget() -> None:
     """Drop what was found."""
-    for timer in (_begin, _deliver):
+    for timer in (_begin, _show_next):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     _State.waiting, _State.look = [], None

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from . import actions, jobs, pictures, preferences
+from .areas import redraw_areas
 from .errors import ChonaError
 from .events import need
 from .jobs import DONE, FAILED, Job
@@ -109,7 +110,7 @@ def _tick() -> float | None:
         return LOOK_SECONDS
     _Known.look = None
     _Known.found.setdefault(key, answer_of(job))
-    jobs.redraw_sidebars(bpy.context)
+    redraw_areas("VIEW_3D")
     return None
 
 

@@ -65,7 +65,7 @@ class CHONA_OT_bake(pick_up.DetachableOperator, bpy.types.Operator):
         return finish_bake(self, context, job, self._scene, self._output, self.current)
 
     def _ended(self, context: bpy.types.Context, job: jobs.Job) -> set[str]:
-        bake_ended()
+        frames_there.look_again()  # a bake that was cancelled has left frames too
         return super()._ended(context, job)
 
 
@@ -95,11 +95,6 @@ def finish_bake(
         except ChonaError as error:
             raise ChonaError(f"{words}, but not composited: {error}") from error
     return words
-
-
-def bake_ended() -> None:
-    """Frames are there that were not, also of a bake that was cancelled."""
-    frames_there.look_again()
 
 
 def show_frames(context: bpy.types.Context, output: Output, new_window: bool) -> None:

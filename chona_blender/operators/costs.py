@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, measuring, model_cache, presets
+from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..measuring import EstimateJob
 from ..readiness import NO_CAPTURES, NO_MODEL
@@ -93,9 +94,9 @@ class CHONA_OT_refresh_presets(bpy.types.Operator):
     bl_label = "Find Presets"
     bl_options = {"INTERNAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         presets.refresh()
-        jobs.redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         self.report({"INFO"}, f"Presets: {', '.join(presets.names())}")
         return {"FINISHED"}
 

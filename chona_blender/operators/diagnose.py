@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import diagnosis, jobs, preferences
+from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..output import bake_output, output_now
 from ..worker import find_python
@@ -88,9 +89,9 @@ class CHONA_OT_dismiss_error(bpy.types.Operator):
     bl_label = "Dismiss"
     bl_options = {"INTERNAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         jobs.remember_error("")
-        jobs.redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
 
@@ -108,9 +109,9 @@ class CHONA_OT_dismiss_news(bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         jobs.news().clear()
-        jobs.redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
 

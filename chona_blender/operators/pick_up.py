@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, pick_up
-from .bake import bake_ended, finish_bake
+from .. import frames_there, jobs, pick_up
+from .bake import finish_bake
 from .poll import allowed
 from .train import finish_training, training_ended
 
@@ -45,7 +45,7 @@ class CHONA_OT_pick_up(pick_up.DetachableOperator, bpy.types.Operator):
         if self._place.output is None:
             told = training_ended(self, job)
             return super()._ended(context, job) if told is None else told
-        bake_ended()
+        frames_there.look_again()
         return super()._ended(context, job)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, live, live_kept
+from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..readiness import why_not_ready
 from .poll import allowed, needs
@@ -30,7 +31,7 @@ class CHONA_OT_live_preview(bpy.types.Operator):
                 live.switch_on(context.scene)
             except ChonaError as error:
                 return jobs.fail(self, error)
-        jobs.redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
 
@@ -52,7 +53,7 @@ class CHONA_OT_live_restart(bpy.types.Operator):
             live.switch_on(context.scene)
         except ChonaError as error:
             return jobs.fail(self, error)
-        jobs.redraw_sidebars(context)
+        redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
 
