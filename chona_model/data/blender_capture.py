@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from chona_model.camera import Camera, CameraError
+from chona_model.camera import FARTHEST, Camera, CameraError
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person, Pose, SkinnedSurface, View
 from chona_model.data.paths import check_name
 from chona_model.data.reading import chosen_frames, counted
@@ -20,9 +20,6 @@ from chona_model.skeleton import Skeleton, SkeletonError
 FORMAT = "chona-capture"
 VERSION = 1
 RIGID_TOLERANCE = 1e-4
-FARTHEST = 1e8
-"""Metres from the origin, or any other number of a capture: beyond, nothing is told apart any more."""
-
 
 MOST_SIDE = 65536
 """Pixels of an image each way."""

@@ -40,26 +40,38 @@ class Record:
 
 
 class PickledArray(Record):
+    """An array: its state holds shape, type and bytes."""
+
     label = "numpy.ndarray"
 
 
 class PickledType(Record):
+    """An array's type: numpy's letter and size, and the order of bytes."""
+
     label = "numpy.dtype"
 
 
 class PickledScalar(Record):
+    """A single number: its type and bytes."""
+
     label = "numpy scalar"
 
 
 class PickledBuffer(Record):
+    """An array as protocol 5 writes it: bytes, type, shape and order."""
+
     label = "numpy._frombuffer"
 
 
 class PickledSparse(Record):
+    """A matrix compressed by rows or columns."""
+
     label = "scipy.sparse matrix"
 
 
 class PickledChumpy(Record):
+    """An array as SMPL's own library wraps it."""
+
     label = "chumpy array"
 
 

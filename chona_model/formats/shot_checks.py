@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from chona_model.camera import FARTHEST
+
 RIGID_TOLERANCE = 1e-4
 """Largest entry of RᵀR − I and of the last row's error that still counts as rigid."""
-
-
-FARTHEST = 1e8
-"""Metres from the origin, and pixels of a focal length: beyond, nothing is told apart any more."""
-
 
 LARGEST_DEPTH = float(np.finfo(np.float32).max)
 """Kernels, frames and Blender hold depths in single precision."""
