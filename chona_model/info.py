@@ -64,9 +64,14 @@ def _measured(trade: Mapping[str, Any] | None) -> list[str]:
         return ["measured  not yet: 'chona trade' says what its presets give and cost"]
     width, height = trade["size"]
     rows = [
-        f"  {name}: {each['psnr']:.1f} dB, {each['seconds']:.2g} s a frame" for name, each in trade["presets"].items()
+        f"  {name}: {_decibels(each.get('psnr'))}, {each['seconds']:.2g} s a frame"
+        for name, each in trade["presets"].items()
     ]
     return [f"measured  on {trade['views']} unseen views, {width} x {height} pixels", *rows]
+
+
+def _decibels(psnr: float | None) -> str:
+    return "no quality" if psnr is None else f"{psnr:.1f} dB"
 
 
 def _section(title: str, content: Mapping[str, Any]) -> list[str]:

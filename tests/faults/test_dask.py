@@ -92,12 +92,14 @@ def test_a_worker_that_is_killed_costs_no_frame(
         assert_same_frames(out, truth)
 
 
+@pytest.mark.slow
 def test_everything_there_costs_no_rendering(cluster, scene: tuple[Path, Path, Path], tmp_path: Path) -> None:
     model, shot, truth = scene
     end, said = end_of(start(cluster.scheduler_address, model, shot, truth, "--frames", "1-9"))
     assert (end["event"], end.get("written"), end.get("skipped")) == ("result", 0, 9), said
 
 
+@pytest.mark.slow
 def test_a_chunk_that_fails_is_told_and_keeps_no_other(cluster, scene: tuple[Path, Path, Path], tmp_path: Path) -> None:
     """Frame 3 cannot be put into its place, as a folder is there; all other chunks are baked."""
     model, shot, _ = scene
@@ -109,6 +111,7 @@ def test_a_chunk_that_fails_is_told_and_keeps_no_other(cluster, scene: tuple[Pat
     assert {f"roll_000{number}.exr" for number in (5, 6, 7, 8)} <= numbers(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_user_who_cancels_stops_the_cluster(cluster, scene: tuple[Path, Path, Path], tmp_path: Path) -> None:
     """After the frames that are being rendered; what is there is whole."""
     model, _, _ = scene

@@ -201,6 +201,19 @@ def test_indices_that_leave_their_arrays_and_nan_are_refused(
         load_actor(path)
 
 
+def test_a_quality_that_nobody_measured_is_told(tmp_path: Path, model: bytes) -> None:
+    from chona_model.info import describe, to_text
+
+    header, data = split_safetensors(model)
+    trade = json.loads(header["__metadata__"]["chona.trade"])
+    trade["presets"]["draft"]["psnr"] = None
+    header["__metadata__"]["chona.trade"] = json.dumps(trade)
+    path = tmp_path / "model.safetensors"
+    path.write_bytes(join_safetensors(header, data))
+    words = to_text(describe(path))
+    assert "  draft: no quality, 0.1 s a frame" in words and "  final: 30.0 dB, 0.1 s a frame" in words
+
+
 def test_a_missing_tensor_is_no_random_one(tmp_path: Path, model: bytes) -> None:
     """Perceptrons that a file lacks would keep the numbers they begin with."""
     from chona_model.formats.model_file import ModelFileError

@@ -37,6 +37,7 @@ def test_no_command_opens_a_connection(tmp_path: Path) -> None:
         assert (tmp_path / made).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.bpy
 @pytest.mark.parametrize("python", bpy_pythons()[:1])
 def test_nothing_of_the_add_on_opens_a_connection(tmp_path: Path, python: str) -> None:

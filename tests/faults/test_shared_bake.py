@@ -65,6 +65,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     return model, shot, baked(model, shot, folder / "truth")
 
 
+@pytest.mark.slow
 def test_one_that_stands_still_is_replaced_and_repeats_nothing(scene: tuple[Path, Path, Path], tmp_path: Path) -> None:
     """The others wait for the frame it holds, then take it over; when it goes on it finds everything done."""
     model, shot, truth = scene

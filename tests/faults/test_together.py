@@ -211,13 +211,14 @@ def test_the_time_is_over_for_all_at_once(folder: Path) -> None:
     assert last["steps"] == steps_of(folder, "timed")[-1]
 
 
+@pytest.mark.slow
 def test_a_single_process_of_torchrun_is_alone(folder: Path, alone) -> None:
     finish([*launcher(processes=1), *words(folder, "single", "fast")])
     assert tensors_of(folder, "single") == tensors_of(folder, alone("fast"))
 
 
 @pytest.mark.parametrize("preset", ["fast", pytest.param("paper", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize("rank", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_killed_process_is_started_again(folder: Path, both, often, preset: str, rank: int) -> None:
     draw = random.Random(rank)
     for number in range(often(1, 25)):
@@ -251,6 +252,7 @@ def test_two_computers_go_on_together(folder: Path, both) -> None:
     assert tensors_of(folder, out) == tensors_of(folder, both("fast"))
 
 
+@pytest.mark.slow
 def test_a_failure_in_one_process_is_told_once(folder: Path) -> None:
     program = Path(__file__).with_name("together_program.py")
     output, errors = finish([*launcher(program=program), *words(folder, "failed", "fast")], 1, CHONA_TEST_FAIL_AT="12")
@@ -260,6 +262,7 @@ def test_a_failure_in_one_process_is_told_once(folder: Path) -> None:
     assert not (folder / "failed" / "model.safetensors").exists()
 
 
+@pytest.mark.slow
 def test_a_lost_process_is_told_once_with_what_is_kept(folder: Path) -> None:
     out = "lost"
     with started([*launcher(), *words(folder, out, "fast")]) as process:
@@ -272,6 +275,7 @@ def test_a_lost_process_is_told_once_with_what_is_kept(folder: Path) -> None:
     assert "is kept, --resume --steps" in message
 
 
+@pytest.mark.slow
 def test_data_that_cannot_be_read_are_told_once(folder: Path, tmp_path: Path) -> None:
     line = ["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")]
     _, errors = finish([*launcher(), *line], 1)
@@ -279,7 +283,8 @@ def test_data_that_cannot_be_read_are_told_once(folder: Path, tmp_path: Path) ->
     assert str(tmp_path) in message
 
 
-@pytest.mark.parametrize("way", ["file", pytest.param("signal", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["file", "signal"])
 def test_a_stopped_training_is_continued_by_both(folder: Path, both, way: str) -> None:
     """The user's wish is no failure, after which the launcher would start anew."""
     out = f"stopped_{way}"

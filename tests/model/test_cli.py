@@ -399,7 +399,7 @@ def test_a_folder_in_the_way_of_the_json(work: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGINT])
 def test_a_signal_ends_a_training_with_its_model_written(work: Path, tmp_path: Path, number: int) -> None:
     command = ["train", "--data", "capture", "--out", str(tmp_path), "--steps", "1000000", "--progress", "json"]
     process = subprocess.Popen(

@@ -85,7 +85,7 @@ class Case:
         return out.detach(), grads | {"table": self.model.field.gradient.buffer.clone()}
 
 
-@pytest.mark.parametrize("objects", [1, 2])
+@pytest.mark.parametrize("objects", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_one_pass_equals_the_stages(objects: int) -> None:
     case = Case(objects)
     out, grads = case.outcome(True)

@@ -110,6 +110,7 @@ def test_the_file_says_what_was_added(person_added: tuple[Path, Path, Dataset]) 
     assert list(header.persons) == ["Sub01", "new-Sub01"]
 
 
+@pytest.mark.slow
 def test_a_larger_object_by_another_name_joins_a_person_alone(tmp_path: Path) -> None:
     base = base_model(tmp_path, objects=0)
     dataset = alone(tmp_path / "data", persons=0)

@@ -164,7 +164,7 @@ def stopped(words: list[str], number: int, at: int, checkpoint: Path) -> None:
 @pytest.mark.parametrize(
     ("preset", "number", "steps", "at"),
     [
-        ("fast", "SIGKILL", 40, 8),
+        pytest.param("fast", "SIGKILL", 40, 8, marks=pytest.mark.slow),  # in CI: tests/faults/test_kills.py
         pytest.param("fast", "SIGTERM", 80, 15, marks=pytest.mark.slow),
         pytest.param("paper", "SIGKILL", 40, 10, marks=pytest.mark.slow),
         pytest.param("paper", "SIGTERM", 40, 10, marks=pytest.mark.slow),
