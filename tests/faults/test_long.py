@@ -51,7 +51,7 @@ class Course:
         return slice(*(int(each) for each in np.searchsorted(share, [begin, end])))
 
     def pace(self, part: slice) -> float:
-        """Seconds of a step where the computer was least busy with other things: the lower tenth from event to event."""
+        """Seconds of a step where the computer was least busy otherwise: the lower tenth from event to event."""
         return float(np.percentile(np.diff(self.seconds[part]) / np.diff(self.done[part]), 10))
 
 
