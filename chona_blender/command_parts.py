@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from . import jobs
+from . import jobs, messages
 from .errors import ChonaError
 
 DONE, FAILED, WRONG = 0, 1, 2
@@ -27,7 +27,7 @@ def run(job: jobs.Job) -> int:
     if job.status == jobs.DONE:
         say(f"chona: {job.title}: done")
         return DONE
-    say(f"chona: {job.title}: {jobs.sentence(ChonaError(job.error))}")
+    say(f"chona: {job.title}: {messages.sentence(ChonaError(job.error))}")
     return WRONG if job.code == WRONG else FAILED
 
 

@@ -17,9 +17,9 @@ from . import (
     actions,
     capture_command,
     compositing,
-    jobs,
     learn_command,
     measuring,
+    messages,
     preferences,
     standin_command,
     worker_command,
@@ -47,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
         say(str(error))
         return WRONG
     except ChonaError as error:
-        say(f"chona: {jobs.sentence(error)}")
+        say(f"chona: {messages.sentence(error)}")
         return WRONG
 
 
@@ -112,7 +112,7 @@ def check(_scene: bpy.types.Scene, _arguments: argparse.Namespace) -> int:
     report = check_worker(preferences.worker_python(), device=preferences.device())
     sys.stdout.write(report.text + "\n")
     if not report.good:
-        say(f"chona: {jobs.sentence(ChonaError(report.summary))}")
+        say(f"chona: {messages.sentence(ChonaError(report.summary))}")
     return DONE if report.good else WRONG
 
 

@@ -7,7 +7,7 @@ import sys
 
 import bpy
 
-from . import jobs
+from . import jobs, messages
 from .worker_check import WorkerReport
 
 worker_report: WorkerReport | None = None
@@ -18,7 +18,7 @@ def report_text() -> str:
     lines = [
         f"Blender {bpy.app.version_string}, Python {sys.version.split()[0]}, {platform.platform()}",
         f"add-on: {__package__}",
-        f"last error: {jobs.last_error() or 'none'}",
+        f"last error: {messages.last_error() or 'none'}",
         "",
         "no check of the worker yet" if worker_report is None else worker_report.text,
     ]

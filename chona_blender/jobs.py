@@ -1,7 +1,7 @@
-"""Runs a worker for an operator: blocking without a window, modal with one.
+"""A worker with what it has said so far, and the one that runs at present.
 
 A `Job` is what panels draw: title, share done, time left, last words. It never touches Blender's data, so it can be
-polled anywhere.
+polled anywhere. Operators over one: `job_operator`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from typing import Any
 
 import bpy
 
-from .areas import redraw_areas
+from . import messages
 from .detached_worker import DetachedWorker
-from .errors import ChonaError
 from .worker import Worker
 
 POLL_SECONDS = 0.1
@@ -160,8 +159,7 @@ def end() -> None:
         board.current.close()
     let_go()
     board.last = None
-    remember_error("")
-    news().clear()
+    messages.forget()
 
 
 def running() -> Job | None:
@@ -213,128 +211,3 @@ def _signals_cancel(job: Job) -> Iterator[None]:
     finally:
         for name, handler in zip(names, before, strict=True):
             signal.signal(name, handler if handler is not None else signal.SIG_DFL)
-
-
-class JobOperator:
-    """Mixin for operators over a job: subclasses give `start` and `finish`.
-
-    With a window, ESC cancels (unless `escapes` is off) and the window stays usable meanwhile.
-    """
-
-    escapes = True
-
-    _job: Job | None = None
-
-    def start(self, context: bpy.types.Context) -> Job:
-        """Gather what is needed and start the worker; a ChonaError is reported."""
-        raise NotImplementedError
-
-    def finish(self, context: bpy.types.Context, job: Job) -> str:
-        """Use the result; what comes back is reported."""
-        raise NotImplementedError
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Without a window: wait for the worker."""
-        try:
-            return self._ended(context, run_blocking(self.start(context)))
-        except ChonaError as error:
-            return fail(self, error)
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """With a window: start the worker and let the window go on."""
-        if context.window is None:
-            return self.execute(context)
-        try:
-            self._job = board.current = board.last = self.start(context)
-        except ChonaError as error:
-            return fail(self, error)
-        board.timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Show progress on each timer tick; ESC cancels, everything else goes on to Blender."""
-        if self._job is None:
-            return {"CANCELLED"}
-        playing = context.screen is not None and context.screen.is_animation_playing
-        pressed = event.type == "ESC" and event.value == "PRESS" and not playing  # ESC ends the playback first
-        if pressed and self.escapes:
-            self._job.cancel()
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        job = self._job
-        ended = job.poll()
-        redraw_areas("VIEW_3D")
-        if not ended:
-            if context.workspace is not None:
-                words = f"{job.title}: {job.text}" + "   |   ESC: cancel" * self.escapes
-                context.workspace.status_text_set(words)
-                board.told.add(context.workspace.session_uid)
-            return {"PASS_THROUGH"}
-        let_go()
-        try:
-            return self._ended(context, job)
-        except ChonaError as error:
-            return fail(self, error)
-
-    def cancel(self, _context: bpy.types.Context) -> None:
-        """Blender ends the operator: another file is loaded, or its window is closed. The panel tells."""
-        job, self._job = self._job, None
-        if job is None or job is not board.current:
-            return
-        job.close()
-        let_go()
-        if job.error:
-            words = f"another file was opened, or the window was closed: {job.error}"
-            remember_error(sentence(ChonaError(words)), job.title)
-
-    def _ended(self, context: bpy.types.Context, job: Job) -> set[str]:
-        if job.status == DONE:
-            if _Last.job == job.title:  # what had stopped it before is over
-                remember_error("")
-            self.report({"INFO"}, self.finish(context, job))
-            return {"FINISHED"}
-        if job.status == CANCELLED:
-            self.report({"WARNING"}, job.error)
-            return {"CANCELLED"}
-        return fail(self, ChonaError(job.error), job.title)
-
-
-def fail(operator: bpy.types.Operator, error: ChonaError, job: str = "") -> set[str]:
-    """Report an error and keep its words for the panel, where they can be copied; ``job`` is the title of one."""
-    text = sentence(error)
-    remember_error(text, job)
-    operator.report({"ERROR"}, text)
-    return {"CANCELLED"}
-
-
-def sentence(error: ChonaError) -> str:
-    """The error's words with a capital first letter and on one line."""
-    text = " ".join(str(error).split())
-    return text[:1].upper() + text[1:]
-
-
-class _Last:
-    error = job = ""
-    news: list[str] = []
-
-
-def remember_error(text: str, job: str = "") -> None:
-    """Keep the words of the last failure for the panel, until a job of the same title is done."""
-    _Last.error, _Last.job = text, job
-
-
-def last_error() -> str:
-    """The words of the last failure, or nothing."""
-    return _Last.error
-
-
-def add_news(text: str) -> None:
-    """Keep for the panel what happened while Blender was closed."""
-    _Last.news.append(text)
-
-
-def news() -> list[str]:
-    """What happened while Blender was closed and was not dismissed yet."""
-    return _Last.news

@@ -17,13 +17,13 @@ from . import actions, preferences
 from .areas import redraw_areas
 from .camera import ImageFormat, image_format
 from .errors import ChonaError
-from .jobs import sentence
 from .live_facts import Facts, facts_of
 from .live_frames import Frame
 from .live_kept import Stamp, kept_models, kept_worker
 from .live_pace import STAGES, Pace
 from .live_view import Canvas, Picture, camera_frame, camera_views, depsgraph_of, redraw_views
 from .live_worker import LiveWorker
+from .messages import sentence
 from .rig.cast import ActorPlan
 from .scenes import scene_of
 from .shot import sample_actors_now

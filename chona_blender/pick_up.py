@@ -14,11 +14,12 @@ from typing import Any
 
 import bpy
 
-from . import frames_there, job_record, jobs, looking, train_rows
+from . import frames_there, job_record, jobs, looking, messages, train_rows
 from .areas import redraw_areas
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .events import need
+from .job_operator import JobOperator
 from .job_record import JobRecord, bake_record, killed_words, left_words, train_record
 from .output import Output, absolute, output_now
 from .shot_job import BakeJob
@@ -120,11 +121,11 @@ def running_at(place: Place | None) -> jobs.Job | None:
 def tell(found: Found) -> None:
     """Say how a job has ended, once, and take away what it has left."""
     ended, words = end_of(found)
-    text = jobs.sentence(ChonaError(f"{found.place.title} {words}"))
+    text = messages.sentence(ChonaError(f"{found.place.title} {words}"))
     if ended == jobs.FAILED:
-        jobs.remember_error(text)
+        messages.remember_error(text)
     else:
-        jobs.add_news(text)
+        messages.add_news(text)
     row = train_rows.row_of(found.place.key)
     if row is not None:
         paused = ended == jobs.CANCELLED and has_checkpoint(row)
@@ -234,7 +235,7 @@ def look_soon(*_: object) -> None:
         bpy.app.timers.register(_begin, first_interval=LOOK_SECONDS)
 
 
-class DetachableOperator(jobs.JobOperator):
+class DetachableOperator(JobOperator):
     """Mixin for operators over a job that may go on without them."""
 
     def cancel(self, context: bpy.types.Context) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import bpy
 
-from . import jobs, standin
+from . import messages, standin
 from .command_parts import DONE, run, save, say
 from .errors import ChonaError
 from .standin_properties import USES
@@ -45,7 +45,7 @@ def stand_in(scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
         if code != DONE:
             return code
         made = standin.finish_stand_in(job)
-        say(f"chona: {jobs.sentence(ChonaError('made ' + ', '.join(item.name for item in made)))}")
+        say(f"chona: {messages.sentence(ChonaError('made ' + ', '.join(item.name for item in made)))}")
     return save(arguments)
 
 

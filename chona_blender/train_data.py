@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import bpy
 import numpy as np
 
-from . import actions, jobs, pictures, preferences
+from . import actions, messages, pictures, preferences
 from .areas import redraw_areas
 from .errors import ChonaError
 from .events import need
@@ -96,7 +96,7 @@ def look(scene: bpy.types.Scene) -> None:
         python, _ = find_python(preferences.worker_python())
         _Known.look = key, Job("Look at data", _command(python, key, "--brief"))
     except ChonaError as error:
-        _Known.found[key] = Found(problem=jobs.sentence(error))
+        _Known.found[key] = Found(problem=messages.sentence(error))
         return
     if not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=LOOK_SECONDS, persistent=True)
@@ -161,11 +161,11 @@ def keep(job: CheckDataJob) -> Found:
 def answer_of(job: Job) -> Found:
     """What an ended job has said."""
     if not job.result:
-        return Found(problem=jobs.sentence(ChonaError(job.error or "the worker said nothing")))
+        return Found(problem=messages.sentence(ChonaError(job.error or "the worker said nothing")))
     try:
         need(job.result, "headline", "sequences", "warnings", "sound")
     except ChonaError as error:
-        return Found(problem=jobs.sentence(error))
+        return Found(problem=messages.sentence(error))
     sequences = tuple(
         Checked(
             each["name"], each["views"], each["checked"], each["joints_inside"], each["objects_inside"],

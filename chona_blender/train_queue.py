@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from . import actions, jobs, train_rows
+from . import actions, jobs, messages, train_rows
 from .detached_worker import DetachedWorker
 from .errors import ChonaError
 from .job_record import train_record
@@ -109,7 +109,7 @@ def start(row: CHONA_PG_training) -> TrainJob:
     except ChonaError as error:
         ended = train_rows.row_of(key)
         if ended is not None:
-            ended.state, ended.words = FAILED, jobs.sentence(error)
+            ended.state, ended.words = FAILED, messages.sentence(error)
         raise
     row.state, row.words = RUNNING, ""
     train_rows.select(key)

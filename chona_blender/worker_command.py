@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import bpy
 
-from . import jobs, preferences, worker_home, worker_setup
+from . import jobs, messages, preferences, worker_home, worker_setup
 from .errors import ChonaError
 
 DONE, FAILED, WRONG = 0, 1, 2
@@ -48,7 +48,7 @@ def set_up(_scene: bpy.types.Scene, arguments: argparse.Namespace) -> int:
             raise ChonaError(job.error)
         report = worker_setup.finish(choice, job)
     except ChonaError as error:
-        _say(f"chona: {jobs.sentence(error)}")
+        _say(f"chona: {messages.sentence(error)}")
         return WRONG if job.code == WRONG else FAILED
     sys.stdout.write(report.text + "\n")
     sys.stdout.flush()

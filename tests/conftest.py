@@ -10,6 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A busy computer is no fault: pytest's own timeout ends what hangs.
+settings.register_profile("chona", deadline=None)
+settings.load_profile("chona")
 
 # Commands keep a log in the home folder, which is the user's.
 os.environ.setdefault("CHONA_LOGS", str(Path(tempfile.gettempdir()) / "chona-test-logs"))

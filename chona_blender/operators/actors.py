@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import actions, jobs, model_cache
+from .. import actions, messages, model_cache
 from ..errors import ChonaError
 from ..rig.armature import create_empty
 from .poll import needs, needs_model
@@ -122,7 +122,7 @@ class CHONA_OT_object_add(bpy.types.Operator):
                 context.scene, header, name, _in_front(actor), actor.armature if actor.person else None
             )
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         item = actor.objects.add()
         item.name, item.empty = name, empty
         actor.active_object = len(actor.objects) - 1
@@ -175,7 +175,7 @@ class CHONA_OT_create_rig(bpy.types.Operator):
         try:
             self.report({"INFO"}, actions.make_rig(context.scene))
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         return {"FINISHED"}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import actions, frames_there, jobs, pick_up
+from .. import actions, frames_there, jobs, messages, pick_up
 from ..baked_image import baked_frames, baked_image, follow
 from ..errors import ChonaError
 from ..output import Output, bake_output, output_now
@@ -82,7 +82,7 @@ def finish_bake(
     replaced = replaced_words(job.result)
     if replaced:
         operator.report({"WARNING"}, replaced)
-        jobs.remember_error(replaced, job.title)
+        messages.remember_error(replaced, job.title)
     scene = scene_of(scene_uid)
     if scene is None:
         return f"{words}; the scene was deleted meanwhile"
@@ -124,7 +124,7 @@ class CHONA_OT_show_frames(bpy.types.Operator):
         try:
             show_frames(context, bake_output(context.scene), new_window=True)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         return {"FINISHED"}
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from .. import capturing, jobs, ring_view
+from .. import capturing, jobs, messages, ring_view
 from ..capture_command import estimate_words
 from ..capturing import CaptureJob
 from ..errors import ChonaError
 from ..events import need
+from ..job_operator import JobOperator
 from ..scenes import scene_of
 from .poll import allowed, needs
 
@@ -21,7 +22,7 @@ def why_no_capture(scene: bpy.types.Scene) -> str:
     return jobs.busy() or ("" if scene.chona.capture_armature else "Choose the armature of the character first")
 
 
-class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_capture(JobOperator, bpy.types.Operator):
     """Render the character and the object from all cameras as training data, in a Blender of its own"""
 
     bl_idname = "chona.capture"
@@ -37,7 +38,7 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
         try:
             result = capturing.run_capture(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         for words in result.warnings:
             self.report({"WARNING"}, words)
         self.report({"INFO"}, f"Captured {result.rendered} frames, {result.skipped} were there: {result.folder}")
@@ -58,7 +59,7 @@ class CHONA_OT_capture(jobs.JobOperator, bpy.types.Operator):
         return f"Captured {job.result['written']} frames, {job.result['skipped']} were there"
 
 
-class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_estimate_capture(JobOperator, bpy.types.Operator):
     """Render two images of the capture, and say how long all of them will take and how large they will be"""
 
     bl_idname = "chona.estimate_capture"
@@ -74,7 +75,7 @@ class CHONA_OT_estimate_capture(jobs.JobOperator, bpy.types.Operator):
         try:
             found = capturing.run_estimate(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         self.report({"INFO"}, estimate_words(found))
         return {"FINISHED"}
 
@@ -104,7 +105,7 @@ class CHONA_OT_show_ring(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         ring_view.switch(context.scene, not ring_view.is_on())
         if ring_view.problem(context.scene):
-            return jobs.fail(self, ChonaError(ring_view.words(context.scene)))
+            return messages.fail(self, ChonaError(ring_view.words(context.scene)))
         return {"FINISHED"}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import check_store, jobs
+from .. import check_store, messages
 from ..checking import run_check
 from ..errors import ChonaError
 from ..rig.findings import ERROR, WARNING, Finding
@@ -26,7 +26,7 @@ class CHONA_OT_check(bpy.types.Operator):
         try:
             report = run_check(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         counts = {kind: sum(each.kind == kind for each in report.findings) for kind in (ERROR, WARNING)}
         if counts[ERROR]:
             self.report({"WARNING"}, f"{counts[ERROR]} errors and {counts[WARNING]} warnings; see Check in the sidebar")
@@ -55,12 +55,12 @@ class CHONA_OT_show_finding(bpy.types.Operator):
         index = shown.active if self.index < 0 else self.index
         finding = check_store.finding_at(context.scene, index)
         if finding is None:
-            return jobs.fail(self, ChonaError("there is no such finding any more; press Check again"))
+            return messages.fail(self, ChonaError("there is no such finding any more; press Check again"))
         shown.active = index
         try:
             self.report({"INFO"}, show(context, finding))
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         return {"FINISHED"}
 
 

@@ -5,7 +5,7 @@ Blender reads the annotations of operators' properties, so they are not postpone
 
 import bpy
 
-from .. import actions, compositing, jobs
+from .. import actions, compositing, messages
 from ..errors import ChonaError
 from ..output import bake_output, output_now
 from .poll import needs
@@ -28,7 +28,7 @@ class CHONA_OT_composite(bpy.types.Operator):
         try:
             result = actions.add_composite(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         for words in result.warnings:
             self.report({"WARNING"}, words)
         self.report({"INFO"}, result.message)
@@ -58,10 +58,10 @@ class CHONA_OT_composite_remove(bpy.types.Operator):
             name = self.layer or bake_output(scene).name
             removed = compositing.remove_layer(scene, name)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         if not removed:
             names = ", ".join(compositing.layer_names(scene))
-            return jobs.fail(self, ChonaError(f"there is no layer {name!r}; the scene has: {names}"))
+            return messages.fail(self, ChonaError(f"there is no layer {name!r}; the scene has: {names}"))
         self.report({"INFO"}, f"Removed {compositing.layer_group_name(name)}")
         return {"FINISHED"}
 

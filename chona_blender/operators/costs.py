@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, measuring, model_cache, presets
+from .. import jobs, measuring, messages, model_cache, presets
 from ..areas import redraw_areas
 from ..errors import ChonaError
+from ..job_operator import JobOperator
 from ..measuring import EstimateJob
 from ..readiness import NO_CAPTURES, NO_MODEL
 from ..scenes import scene_of
@@ -15,7 +16,7 @@ from .image_editor import load_anew, show_image
 from .poll import allowed, needs
 
 
-class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_estimate(JobOperator, bpy.types.Operator):
     """Times this computer for two seconds and predicts the bake with each preset"""
 
     bl_idname = "chona.estimate"
@@ -39,7 +40,7 @@ class CHONA_OT_estimate(jobs.JobOperator, bpy.types.Operator):
         return (chosen or lines or ["Estimated"])[0]
 
 
-class CHONA_OT_trade(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_trade(JobOperator, bpy.types.Operator):
     """Measure what every preset and setting costs and gives with this model, and keep it in the model's file"""
 
     bl_idname = "chona.trade"
@@ -82,7 +83,7 @@ class CHONA_OT_show_trade(bpy.types.Operator):
         try:
             image = load_anew(measuring.trade_picture(context.scene))
         except (ChonaError, RuntimeError) as error:
-            return jobs.fail(self, ChonaError(str(error)))
+            return messages.fail(self, ChonaError(str(error)))
         show_image(context, image)
         return {"FINISHED"}
 

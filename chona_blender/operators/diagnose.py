@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import bpy
 
-from .. import diagnosis, jobs, preferences
+from .. import diagnosis, jobs, messages, preferences
 from ..areas import redraw_areas
 from ..errors import ChonaError
+from ..job_operator import JobOperator
 from ..output import bake_output, output_now
 from ..worker import find_python
 from ..worker_check import check_worker, judge, probe_command
 from .poll import allowed, needs
 
 
-class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_check_worker(JobOperator, bpy.types.Operator):
     """Start the worker's Python, load everything it needs and say in words what is wrong"""
 
     bl_idname = "chona.check_worker"
@@ -27,7 +28,7 @@ class CHONA_OT_check_worker(jobs.JobOperator, bpy.types.Operator):
     def execute(self, _context: bpy.types.Context) -> set[str]:
         diagnosis.worker_report = check_worker(preferences.worker_python(), device=preferences.device())
         if not diagnosis.worker_report.good:
-            return jobs.fail(self, ChonaError(diagnosis.worker_report.summary))
+            return messages.fail(self, ChonaError(diagnosis.worker_report.summary))
         self.report({"INFO"}, f"The worker is ready: {diagnosis.worker_report.summary}")
         return {"FINISHED"}
 
@@ -63,7 +64,7 @@ class CHONA_OT_open_output(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         folder = bake_output(context.scene).folder
         if not folder.is_dir():
-            return jobs.fail(self, ChonaError(f"there is no folder {folder} yet; a bake makes it"))
+            return messages.fail(self, ChonaError(f"there is no folder {folder} yet; a bake makes it"))
         bpy.ops.wm.path_open(filepath=str(folder))
         self.report({"INFO"}, str(folder))
         return {"FINISHED"}
@@ -90,7 +91,7 @@ class CHONA_OT_dismiss_error(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        jobs.remember_error("")
+        messages.remember_error("")
         redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
@@ -104,13 +105,13 @@ class CHONA_OT_dismiss_news(bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if not jobs.news():
+        if not messages.news():
             cls.poll_message_set("Nothing has happened")
             return False
         return True
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        jobs.news().clear()
+        messages.news().clear()
         redraw_areas("VIEW_3D")
         return {"FINISHED"}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, live, live_kept
+from .. import live, live_kept, messages
 from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..readiness import why_not_ready
@@ -30,7 +30,7 @@ class CHONA_OT_live_preview(bpy.types.Operator):
             try:
                 live.switch_on(context.scene)
             except ChonaError as error:
-                return jobs.fail(self, error)
+                return messages.fail(self, error)
         redraw_areas("VIEW_3D")
         return {"FINISHED"}
 
@@ -52,7 +52,7 @@ class CHONA_OT_live_restart(bpy.types.Operator):
         try:
             live.switch_on(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         redraw_areas("VIEW_3D")
         return {"FINISHED"}
 

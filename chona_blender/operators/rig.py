@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bl_operators.presets import AddPresetBase
 
-from .. import jobs, model_cache
+from .. import messages, model_cache
 from ..errors import ChonaError
 from ..readiness import NO_MODEL
 from ..rig.mapping import map_rig
@@ -54,7 +54,7 @@ class CHONA_OT_map_rig(bpy.types.Operator):
             actor.refresh_bones()
             mapping = map_rig(actor.armature, header.names, actor.chosen_bones())
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         if mapping.problems:
             missing = ", ".join(mapping.problems)
             self.report({"WARNING"}, f"{mapping.summary}. Choose bones for: {missing}")
@@ -82,7 +82,7 @@ class CHONA_OT_bone_pick(bpy.types.Operator):
         actor = context.scene.chona.actor
         actor.refresh_bones()
         if not actor.bones:
-            return jobs.fail(self, ChonaError("the table of bones is empty; choose a model that can be read"))
+            return messages.fail(self, ChonaError("the table of bones is empty; choose a model that can be read"))
         row = actor.bones[min(actor.active_bone, len(actor.bones) - 1)]
         row.target = actor.armature.data.bones.active.name
         self.report({"INFO"}, f"'{row.target}' moves '{row.name}'")

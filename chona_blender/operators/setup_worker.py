@@ -6,14 +6,15 @@ import textwrap
 
 import bpy
 
-from .. import diagnosis, jobs, live_kept, preferences, worker_home, worker_setup
+from .. import diagnosis, jobs, live_kept, messages, preferences, worker_home, worker_setup
 from ..areas import redraw_areas
 from ..errors import ChonaError
 from ..i18n import report_text
+from ..job_operator import JobOperator
 from .poll import allowed, needs
 
 
-class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_set_up_worker(JobOperator, bpy.types.Operator):
     """Make a Python environment with torch for the worker, after showing what is installed and how big it is"""
 
     bl_idname = "chona.set_up_worker"
@@ -56,7 +57,7 @@ class CHONA_OT_set_up_worker(jobs.JobOperator, bpy.types.Operator):
             if outlook.problem:
                 raise ChonaError(outlook.problem)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         self._lines = tuple(
             (part, "BLANK1" if number else "DOT")
             for line in outlook.lines
@@ -118,7 +119,7 @@ class CHONA_OT_remove_worker(bpy.types.Operator):
         try:
             size = worker_home.occupied()
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         if size == 0:
             return self.execute(context)
         message = report_text("Frees {size}", size=worker_setup.size_words(size))
@@ -131,7 +132,7 @@ class CHONA_OT_remove_worker(bpy.types.Operator):
         try:
             freed = worker_home.remove()
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         finally:
             worker_setup.refresh()
         if freed == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, standin
+from ..job_operator import JobOperator
 from ..readiness import NO_MODEL
 from .poll import allowed, needs
 
@@ -24,7 +25,7 @@ def why_no_stand_in(context: bpy.types.Context) -> str:
     return ""
 
 
-class CHONA_OT_stand_in_make(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_stand_in_make(JobOperator, bpy.types.Operator):
     """Make meshes of the selected actor's person and objects that follow its rig in real time, or renew them"""
 
     bl_idname = "chona.stand_in_make"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from .. import jobs, model_cache, pick_up, train_queue, train_rows
+from .. import jobs, messages, model_cache, pick_up, train_queue, train_rows
 from ..errors import ChonaError
 from ..output import absolute
 from ..readiness import NO_CAPTURES
@@ -31,7 +31,7 @@ class CHONA_OT_train(bpy.types.Operator):
         try:
             train_queue.add(context.scene)
         except ChonaError as error:
-            return jobs.fail(self, error)
+            return messages.fail(self, error)
         return _go_on(self, context)
 
 
@@ -225,7 +225,7 @@ class CHONA_OT_use_trained(bpy.types.Operator):
         if not model.is_file():
             failed = row is not None and row.state in {FAILED, CANCELLED}
             remedy = "train again" if failed else "wait until it has ended, or pause it" if row else "train first"
-            return jobs.fail(self, ChonaError(f"there is no model {model} yet; {remedy}"))
+            return messages.fail(self, ChonaError(f"there is no model {model} yet; {remedy}"))
         settings.model_path = str(model)
         model_cache.refresh(settings.model_path)
         self.report({"INFO"}, f"{settings.actor.label} uses {model}")

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, train_data
+from .. import jobs, messages, train_data
 from ..errors import ChonaError
+from ..job_operator import JobOperator
 from ..readiness import NO_CAPTURES
 from ..train_data import CheckDataJob
 from .image_editor import load_anew, show_image
 from .poll import allowed, needs
 
 
-class CHONA_OT_check_data(jobs.JobOperator, bpy.types.Operator):
+class CHONA_OT_check_data(JobOperator, bpy.types.Operator):
     """Draw skeletons, boxes and masks as they are understood over some images of every sequence, and measure them"""
 
     bl_idname = "chona.check_data"
@@ -56,7 +57,7 @@ class CHONA_OT_next_sheet(bpy.types.Operator):
             try:
                 train_data.show_sheet(train_data.key_of(context.scene), shown[0] + self.by)
             except ChonaError as error:
-                return jobs.fail(self, error)
+                return messages.fail(self, error)
         return {"FINISHED"}
 
 
@@ -77,7 +78,9 @@ class CHONA_OT_open_sheet(bpy.types.Operator):
         try:
             image = load_anew(str(path))
         except RuntimeError:
-            return jobs.fail(self, ChonaError(f"the picture {path} cannot be read any more; press Check Data again"))
+            return messages.fail(
+                self, ChonaError(f"the picture {path} cannot be read any more; press Check Data again")
+            )
         show_image(context, image)
         return {"FINISHED"}
 

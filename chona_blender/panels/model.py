@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, model_cache
+from .. import jobs, messages, model_cache
 from .sidebar import Sidebar, wrapped
 
 
@@ -90,7 +90,7 @@ def draw_job(layout: bpy.types.UILayout) -> None:
 
 def draw_error(layout: bpy.types.UILayout) -> None:
     """The last failure in full, to be read at leisure and copied."""
-    words = jobs.last_error()
+    words = messages.last_error()
     if not words:
         return
     box = layout.box()
@@ -102,7 +102,7 @@ def draw_error(layout: bpy.types.UILayout) -> None:
 
 def draw_news(layout: bpy.types.UILayout) -> None:
     """What became of jobs that went on while Blender was closed."""
-    told = jobs.news()
+    told = messages.news()
     if told:
         box = layout.box()
         for words in told:

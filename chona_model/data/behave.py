@@ -32,7 +32,7 @@ from chona_model.data.behave_objects import read_object_shape
 from chona_model.data.body_model import BodyModel, body_model_folders, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
 from chona_model.data.lens import Lens
-from chona_model.data.reading import chosen_frames, counted, is_usable
+from chona_model.data.reading import chosen_frames, counted, is_usable, real_numbers
 from chona_model.data.restricted_pickle import read_pickle
 from chona_model.plain_json import JsonError, parse, read_text
 from chona_model.skeleton import SMPL
@@ -186,7 +186,7 @@ def _read_fit(folder: Path, names: tuple[str, ...], fit: _Fit, gaps: Counter[str
         if not isinstance(content, dict) or any(key not in content for key in fit.keys):
             raise DatasetError(f"{path} lacks one of {', '.join(fit.keys)}; expected BEHAVE's fitted parameters")
         try:
-            arrays = {key: np.asarray(content[key], dtype=np.float64).reshape(-1) for key in fit.keys}
+            arrays = {key: real_numbers(content[key]).reshape(-1) for key in fit.keys}
         except (TypeError, ValueError) as error:
             raise DatasetError(f"{path}: {error}; expected arrays of numbers in {', '.join(fit.keys)}") from error
         if is_usable(arrays, ("angle", "trans"), path):
@@ -233,12 +233,12 @@ def _read_camera(root: Path, sequence: _Sequence, kinect: int) -> tuple[Camera, 
         color = _read_json(intrinsics, "the colour camera's intrinsics")["color"]
         stated = _read_json(pose, "the camera's rotation and translation")
         # BEHAVE puts the centre of the first pixel at 0, this package at 0.5.
-        matrix = np.array(
+        matrix = real_numbers(
             [[color["fx"], 0.0, color["cx"] + 0.5], [0.0, color["fy"], color["cy"] + 0.5], [0.0, 0.0, 1.0]]
         )
-        rotation = np.array(stated["rotation"], dtype=np.float64).reshape(3, 3)
-        world_from_camera = rigid(rotation, stated["translation"])
-        lens = Lens.opencv(np.array(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
+        rotation = real_numbers(stated["rotation"]).reshape(3, 3)
+        world_from_camera = rigid(rotation, real_numbers(stated["translation"]))
+        lens = Lens.opencv(real_numbers(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
         width, height = int(color["width"]), int(color["height"])
         if not is_rotation(rotation):
             raise CameraError("the rotation is not one (to 0.001)")

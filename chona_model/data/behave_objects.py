@@ -71,7 +71,9 @@ def read_obj_vertices(path: Path) -> np.ndarray:
         lines = [line.split()[1:4] for line in text.splitlines() if line.startswith("v ")]
         vertices = np.array(lines, dtype=np.float64)
     except (OSError, ValueError) as error:
-        raise DatasetError(f"cannot read the object template {path}: {error}; expected a Wavefront OBJ") from error
+        raise DatasetError(
+            f"cannot read the object template {path}: {shortened(error)}; expected a Wavefront OBJ"
+        ) from error
     return _checked(vertices, path)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from chona_model.camera import FARTHEST, Camera, CameraError
 from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Person, Pose, SkinnedSurface, View
 from chona_model.data.paths import check_name
-from chona_model.data.reading import chosen_frames, counted
+from chona_model.data.reading import chosen_frames, counted, real_numbers
 from chona_model.plain_arrays import ArraysError, read_arrays
 from chona_model.plain_json import JsonError, decode, read_text
 from chona_model.skeleton import Skeleton, SkeletonError
@@ -235,7 +235,7 @@ def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 def _array(values: object, shape: tuple[int, ...], name: str) -> np.ndarray:
     """float64 values of a shape (-1: any length), all finite."""
     try:
-        array = np.asarray(values, dtype=np.float64)
+        array = real_numbers(values)
     except (TypeError, ValueError) as error:
         raise DatasetError(f"{name}: {error}; expected numbers in the shape {shape}") from error
     fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))

@@ -21,9 +21,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chona_model.data.dataset import DatasetError
+from chona_model.data.reading import real_numbers
 from chona_model.data.restricted_pickle import MODEL_BYTES, read_pickle
 from chona_model.plain_arrays import ArraysError, read_arrays
-from chona_model.plain_json import shortened
 from chona_model.skeleton import SMPL, SMPL_NAMES, SMPL_PARENTS, Skeleton, canonical_to_world, forward_kinematics
 
 FARTHEST = 1e3
@@ -215,9 +215,9 @@ def _along(directions: np.ndarray, betas: np.ndarray) -> np.ndarray:
 def _numbers(content: Mapping[str, Any], name: str, dimensions: int, path: Path) -> np.ndarray:
     """An array of a body model as float64, sizes of its parts and limits of its numbers checked."""
     try:
-        array = np.asarray(content[name], dtype=np.float64)
+        array = real_numbers(content[name])
     except (TypeError, ValueError) as error:
-        raise DatasetError(f"{path}: {name} holds something else than numbers ({shortened(error)})") from error
+        raise DatasetError(f"{path}: {name} holds something else than numbers ({error})") from error
     if array.ndim != dimensions or array.size == 0:
         raise DatasetError(
             f"{path}: {name} has the shape {array.shape}, expected {dimensions} dimensions; the file is damaged"

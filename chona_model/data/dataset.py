@@ -5,6 +5,8 @@ Readers convert once (axes, pixel centres, units); nothing after them knows whic
 
 from __future__ import annotations
 
+import io
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -181,6 +183,19 @@ PICTURES = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
 """Formats of images and masks: Pillow knows others, some of which start other programs."""
 
 
+class _Bounded(io.BufferedReader):
+    """A file of which no more is asked for than it has: Pillow asks for as much as a PNG's chunk states, up to 4 GB."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._bytes = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """At most ``size`` bytes, all that are left without."""
+        left = max(self._bytes - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
 @contextmanager
 def opened_image(path: Path) -> Iterator[Image.Image]:
     """An image file whose size and mode are known and whose pixels are not read yet.
@@ -189,7 +204,7 @@ def opened_image(path: Path) -> Iterator[Image.Image]:
         DatasetError: the file is missing, no image, or fails while it is read here.
     """
     try:
-        with Image.open(path, formats=PICTURES) as image:
+        with _Bounded(path) as file, Image.open(file, formats=PICTURES) as image:
             yield image
     except DatasetError:
         raise

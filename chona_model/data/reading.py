@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from chona_model.data.dataset import DatasetError
+from chona_model.plain_json import shortened
 
 LARGEST_FIT = 1e5
 """Metres, radians or betas of a fit: beyond, it is no more use than a NaN."""
@@ -36,6 +37,23 @@ def chosen_frames(
         before = chosen.get(name, frozenset())
         chosen[name] = None if not frame or before is None else before | {frame}
     return chosen
+
+
+def real_numbers(values: object) -> np.ndarray:
+    """Values as float64.
+
+    Raises:
+        ValueError: text, complex numbers whose second half would be dropped, rows of different lengths. In few words,
+            where numpy would repeat what it was given.
+        TypeError: anything else that is no number.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "cSU":
+            raise ValueError(f"numbers of the type {array.dtype} are no real numbers")
+        return array.astype(np.float64)
+    except ValueError as error:
+        raise ValueError(shortened(error)) from error
 
 
 def counted(gaps: Mapping[str, int]) -> str:

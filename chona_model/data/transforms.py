@@ -28,7 +28,7 @@ from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
 from chona_model.data.placing import LONGEST_SIDE, Placing, hull_points, place, static_pose
 from chona_model.data.reading import chosen_frames, counted
-from chona_model.plain_json import JsonError, decode, read_text
+from chona_model.plain_json import JsonError, decode, read_text, shortened
 from chona_model.skeleton import SMPL
 
 PATTERN = "transforms*.json"
@@ -229,4 +229,4 @@ def _camera(path: Path, scan: _Scan, frame: _Frame, image: Path) -> tuple[Camera
         lens = Lens.opencv(np.array([field(name) or 0.0 for name in ("k1", "k2", "p1", "p2", "k3")]))
         return Camera(intrinsics, matrix @ OPENCV_FROM_OPENGL, width, height), lens
     except (ValueError, OverflowError, CameraError) as error:
-        raise DatasetError(f"{path}: frame {frame.file_path}: {error}") from error
+        raise DatasetError(f"{path}: frame {shortened(frame.file_path)}: {error}") from error

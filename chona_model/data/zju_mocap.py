@@ -29,7 +29,7 @@ from chona_model.data.body_model import BodyModel, body_model_folders, find_body
 from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View, opened_image
 from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
-from chona_model.data.reading import chosen_frames, counted, is_usable
+from chona_model.data.reading import chosen_frames, counted, is_usable, real_numbers
 from chona_model.data.restricted_pickle import MODEL_BYTES, read_object_npy
 from chona_model.plain_json import shortened
 from chona_model.skeleton import SMPL
@@ -160,10 +160,10 @@ def _image_size(folder: Path, images: Iterable[Sequence[str]]) -> tuple[int, int
 
 def _camera(path: Path, cams: dict[str, Any], index: int, size: tuple[int, int]) -> tuple[Camera, Lens | None]:
     try:
-        intrinsics = np.array(cams["K"][index], dtype=np.float64).reshape(3, 3)
-        rotation = np.array(cams["R"][index], dtype=np.float64).reshape(3, 3)
-        translation = np.array(cams["T"][index], dtype=np.float64).reshape(3) / MILLIMETRES
-        lens = Lens.opencv(np.array(cams["D"][index], dtype=np.float64))
+        intrinsics = real_numbers(cams["K"][index]).reshape(3, 3)
+        rotation = real_numbers(cams["R"][index]).reshape(3, 3)
+        translation = real_numbers(cams["T"][index]).reshape(3) / MILLIMETRES
+        lens = Lens.opencv(real_numbers(cams["D"][index]))
         if not is_rotation(rotation):
             raise ValueError("R is not a rotation (to 0.001)")
         intrinsics[:2, 2] += 0.5  # ZJU-MoCap puts the centre of the first pixel at 0, this package at 0.5
@@ -205,7 +205,7 @@ def _read_fit(path: Path, gaps: Counter[str]) -> dict[str, np.ndarray] | None:
     content = read_object_npy(path)
     keys = ("poses", "shapes", "Rh", "Th")
     try:
-        arrays = {key: np.asarray(content[key], dtype=np.float64).reshape(-1) for key in keys}
+        arrays = {key: real_numbers(content[key]).reshape(-1) for key in keys}
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path}: {error}; expected arrays poses, shapes, Rh and Th") from error
     if not is_usable(arrays, ("Rh", "Th"), path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
 import struct
 import sys
 import time
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -266,6 +268,24 @@ def test_a_picture_that_claims_a_gigapixel_is_not_unpacked(capture: Path, layout
         if (capture / name).exists():
             (capture / name).write_bytes(_png_of(*size))
     _refused(capture, layout, "pixels")
+
+
+def test_a_chunk_that_claims_gigabytes_is_not_believed(tmp_path: Path) -> None:
+    """A picture of another picture's size with a chunk of 2.6 GB behind its data: Pillow would ask for as much."""
+    from chona_model.data.dataset import DatasetError, read_image
+
+    content = _png_of(2, 1, zlib.compress(bytes(7)))
+    at = content.index(b"IDAT") - 4
+    (tmp_path / "valid.png").write_bytes(content)
+    assert read_image(tmp_path / "valid.png", "RGB", (1, 2), "").shape == (1, 2, 3)
+    lie = struct.pack(">I", 2_600_000_000)
+    (tmp_path / "lie.png").write_bytes(content[:at] + lie + content[at + 4 :])
+    tracemalloc.start()
+    with contextlib.suppress(DatasetError):
+        read_image(tmp_path / "lie.png", "RGB", (1, 2), "")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10_000_000
 
 
 @pytest.mark.parametrize("capture", ["transforms"], indirect=True)

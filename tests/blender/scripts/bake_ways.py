@@ -14,7 +14,7 @@ from mathutils import Matrix
 from operation_scene import say
 
 import chona_blender
-from chona_blender import commands, frames_there, jobs, output
+from chona_blender import commands, frames_there, messages, output
 from chona_blender.actions import actor_plans
 from chona_blender.bake_frames import checked_frames
 from chona_blender.errors import ChonaError
@@ -135,7 +135,7 @@ def stamps() -> dict[str, int]:
 def bake(**options: object) -> list[str]:
     """Which frames a bake has written anew."""
     before = stamps()
-    assert bpy.ops.chona.bake(**options) == {"FINISHED"}, jobs.last_error()
+    assert bpy.ops.chona.bake(**options) == {"FINISHED"}, messages.last_error()
     return [number for number, time in stamps().items() if before.get(number) != time]
 
 

@@ -15,7 +15,7 @@ import bpy
 from operation_scene import say
 
 import chona_blender
-from chona_blender import jobs, pick_up, preferences
+from chona_blender import jobs, messages, pick_up, preferences
 
 FRAMES = 400
 
@@ -67,7 +67,7 @@ def follow(folder: Path, frames: int) -> dict:
     return {
         "result": result, "seen": seen, "status": job.status, "error": job.error, "done": job.done, "total": job.total,
         "nothing left": again is None and not pick_up.is_waiting(), "threads": threading.active_count() - threads,
-        "news": jobs.news(),
+        "news": messages.news(),
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import bpy
 from operation_scene import say
 
 import chona_blender
-from chona_blender import jobs, pick_up, train_rows
+from chona_blender import messages, pick_up, train_rows
 
 chona_blender.register()
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -26,12 +26,12 @@ for name, folder in json.loads(sys.argv[1]):
         scene.chona.output_folder = ""
         row = train_rows.trainings().rows.add()
         row.key, row.name, row.run_folder, row.state = "k", "run", folder, train_rows.PAUSED
-    jobs.remember_error("")
-    jobs.news().clear()
+    messages.remember_error("")
+    messages.news().clear()
     result = list(bpy.ops.chona.pick_up())
     told.append(
         {
-            "result": result, "error": jobs.last_error(), "news": list(jobs.news()),
+            "result": result, "error": messages.last_error(), "news": list(messages.news()),
             "left": sorted(path.name for path in Path(folder).glob(".chona-*")),
             "rows": [[row.state, row.words] for row in train_rows.rows()],
             "dismiss": bpy.ops.chona.dismiss_news.poll(),

@@ -24,6 +24,7 @@ from chona_blender import (
     estimates,
     jobs,
     measuring,
+    messages,
     train_data,
     train_queue,
     train_rows,
@@ -57,7 +58,7 @@ def shown(words: str) -> None:
     bpy.context.workspace.status_text_set(words)
     bpy.context.workspace.status_text_set(None)
     scene.chona.name = words
-    jobs.remember_error(words)
+    messages.remember_error(words)
     diagnosis.report_text().encode()
 
 
@@ -195,7 +196,7 @@ for number, path in enumerate(sorted(streams.iterdir()), start=1):  # noqa: B007
     try:
         READERS[path.name.partition("-")[0]](path)
     except ChonaError as error:
-        shown(jobs.sentence(error))
+        shown(messages.sentence(error))
     except Exception as error:
         raised.append(f"{path.name}: {type(error).__name__}: {error}"[:500])
     slowest = max(slowest, time.process_time() - begun[0])

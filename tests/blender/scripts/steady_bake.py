@@ -15,7 +15,7 @@ import steady_stage as stage
 from operation_scene import say
 
 import chona_blender
-from chona_blender import compositing, jobs
+from chona_blender import compositing, jobs, messages
 
 model, folder = Path(sys.argv[1]), Path(sys.argv[3])
 stage.worker_python()
@@ -25,7 +25,7 @@ answer: dict = {}
 def outcome(job: jobs.Job, result: list[str]) -> dict:
     """How a bake has ended, and what of it is left."""
     return {
-        "result": result, "status": job.status, "error": job.error, "told": jobs.last_error(), "done": job.done,
+        "result": result, "status": job.status, "error": job.error, "told": messages.last_error(), "done": job.done,
         "running": jobs.running() is not None, "timers": stage.timers(), "children": stage.children(),
         "said": job.result,
     }  # fmt: skip
@@ -89,7 +89,7 @@ def another_file() -> None:
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     answer["opened"] = outcome(job, []) | {"folder": bpy.context.scene.chona.output_folder}
     for name, leave in (("reverted", bpy.ops.wm.revert_mainfile), ("factory", bpy.ops.wm.read_factory_settings)):
-        jobs.remember_error("")
+        messages.remember_error("")
         bpy.context.scene.chona.output_folder = str(folder / name)
         assert bpy.ops.chona.steady_bake() == {"RUNNING_MODAL"}
         job = jobs.board.last

@@ -12,7 +12,7 @@ import steady_stage as stage
 from operation_scene import say
 
 import chona_blender
-from chona_blender import jobs, live, model_cache, ring_view
+from chona_blender import jobs, live, messages, model_cache, ring_view
 
 model, folder = Path(sys.argv[1]), Path(sys.argv[3])
 stage.worker_python()
@@ -74,7 +74,7 @@ chona_blender.register()
 stage.register()
 bpy.ops.chona.steady_bake()
 answer["bake"] = [stage.finish(), stage.names_in(folder / "frames")]
-answer["last"] = [jobs.board.last.status, jobs.last_error()]
+answer["last"] = [jobs.board.last.status, messages.last_error()]
 images = [each.name for each in bpy.data.images]
 bpy.ops.chona.steady_bake(current=True)
 answer["current"] = [stage.finish(), images == [each.name for each in bpy.data.images]]

@@ -19,7 +19,7 @@ import bpy
 from bpy.utils import previews
 from mathutils import Matrix
 
-from chona_blender import jobs, registration
+from chona_blender import jobs, messages, registration
 from chona_blender.operators import bake
 
 PATIENCE = 240.0
@@ -179,7 +179,7 @@ def left() -> dict[str, object]:
         "classes": classes(), "handlers": handlers(), "timers": timers(), "drawing": drawing(), "threads": threads(),
         "children": children(), "previews": len(previews._uuid_open), "property": hasattr(bpy.types.Scene, "chona"),
         "images": sorted(each.name for each in bpy.data.images), "groups": len(bpy.data.node_groups),
-        "pending": [jobs.board.current is not None, jobs.last_error()],
+        "pending": [jobs.board.current is not None, messages.last_error()],
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import steady_stage as stage
 from operation_scene import say
 
 import chona_blender
-from chona_blender import jobs, preferences, train_queue, train_rows
+from chona_blender import jobs, messages, preferences, train_queue, train_rows
 from chona_blender.operators import train
 
 python, capture, folder, small = sys.argv[1:5]
@@ -56,7 +56,7 @@ bpy.ops.chona.steady_trainings()
 job = jobs.running()
 stage.tick_until(lambda: has_begun(Path(folder) / "one") or job.status != jobs.RUNNING)
 os.kill(job.worker._process.pid, signal.SIGKILL)
-answer["killed"] = [stage.finish(), job.status, jobs.last_error(), rows()]
+answer["killed"] = [stage.finish(), job.status, messages.last_error(), rows()]
 answer["left"] = [stage.children(), stage.timers(), jobs.running() is None]
 train_rows.select(train_rows.rows()[0].key)
 answer["resume"] = bpy.ops.chona.resume_training.poll()

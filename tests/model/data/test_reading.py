@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from chona_model.data.dataset import DatasetError
-from chona_model.data.reading import LARGEST_FIT, chosen_frames, counted, is_usable
+from chona_model.data.reading import LARGEST_FIT, chosen_frames, counted, is_usable, real_numbers
 
 THERE = ("walk", "lift", "sit")
 
@@ -51,3 +51,17 @@ def test_a_fit_is_finite_and_not_out_of_this_world() -> None:
     assert not is_usable(fit | {"pose": np.array([-1.1 * LARGEST_FIT])}, ("trans",), Path("fit.pkl"))
     with pytest.raises(DatasetError, match=r"^fit\.pkl: pose has 72 numbers, expected 3$"):
         is_usable(fit, ("pose",), Path("fit.pkl"))
+
+
+def test_only_real_numbers_are_numbers() -> None:
+    assert real_numbers([[1, 2.5], [True, np.float32(0.5)]]).tolist() == [[1.0, 2.5], [1.0, 0.5]]
+    assert real_numbers(np.array([1.5, 2], dtype=object)).dtype == np.float64
+    with pytest.raises(ValueError, match="complex128 are no real numbers"):
+        real_numbers(np.array([1.0 + 2.0j]))
+    with pytest.raises(ValueError, match="are no real numbers") as told:
+        real_numbers(["x" * 70_000])
+    assert len(str(told.value)) < 400
+    with pytest.raises(ValueError, match="inhomogeneous"):
+        real_numbers([[1.0], [1.0, 2.0]])
+    with pytest.raises(TypeError):
+        real_numbers([{}])
