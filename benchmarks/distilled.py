@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.common import Bench, save
-from chona_model.data.dataset import View, load_pixels
+from chona_model.data.dataset import View
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.grid_model import GridModel
 from chona_model.render.posed import depth_spans

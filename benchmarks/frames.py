@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Bench, milliseconds, save
-from chona_model.data.dataset import load_pixels
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.grid_view import render_view
 from chona_model.render.posed import depth_spans, window_of

@@ -26,7 +26,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from chona_model.data.dataset import Dataset, View, load_pixels
+from chona_model.data.dataset import Dataset, View
+from chona_model.data.images import load_pixels
 from chona_model.skeleton import Skeleton, canonical_to_world, translation
 
 DISTANCE = 0.3

@@ -7,7 +7,8 @@ import time
 import numpy as np
 
 from benchmarks.common import MODEL, Bench, save
-from chona_model.data.dataset import Dataset, load_pixels
+from chona_model.data.dataset import Dataset
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import score
 from chona_model.grid_actor import GridActor
 from chona_model.model_store import save_actor

@@ -16,7 +16,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View, load_pixels, opened_image
+from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, View
+from chona_model.data.images import load_pixels, opened_image
 from chona_model.data.soundness import check_view
 from chona_model.progress import Progress
 from chona_model.skeleton import Skeleton

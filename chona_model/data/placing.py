@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from chona_model.camera import Camera, rigid
-from chona_model.data.dataset import DatasetError, ObjectShape, Pose, View, load_pixels
+from chona_model.data.dataset import DatasetError, ObjectShape, Pose, View
+from chona_model.data.images import load_pixels
 
 LONGEST_SIDE = 0.5
 """Metres of an object's longest side where nobody says otherwise."""

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from chona_model.data.dataset import Dataset, DatasetError, Pixels, View
+from chona_model.data.dataset import Dataset, DatasetError, View
+from chona_model.data.images import Pixels
 
 ADVICE = "look at the capture with 'chona check-data'"
 

@@ -23,7 +23,8 @@ import msgspec
 import numpy as np
 
 from chona_model.camera import Camera, CameraError, is_rotation
-from chona_model.data.dataset import Dataset, DatasetError, MaskRule, View, opened_image
+from chona_model.data.dataset import Dataset, DatasetError, MaskRule, View
+from chona_model.data.images import opened_image
 from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
 from chona_model.data.placing import LONGEST_SIDE, Placing, hull_points, place, static_pose

@@ -26,7 +26,8 @@ from scipy.spatial.transform import Rotation
 
 from chona_model.camera import Camera, CameraError, is_rotation, rigid
 from chona_model.data.body_model import BodyModel, body_model_folders, find_body_model, read_body_model, reduced_pose
-from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View, opened_image
+from chona_model.data.dataset import Dataset, DatasetError, MaskRule, Person, Pose, SkinnedSurface, View
+from chona_model.data.images import opened_image
 from chona_model.data.lens import Lens
 from chona_model.data.paths import named_file
 from chona_model.data.reading import chosen_frames, counted, is_usable, real_numbers

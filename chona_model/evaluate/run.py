@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from chona_model.data.dataset import Dataset, DatasetError, load_pixels
+from chona_model.data.dataset import Dataset, DatasetError
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import mean_of_known, score
 from chona_model.formats.atomic import write_bytes
 from chona_model.formats.model_file import file_hash, read_header

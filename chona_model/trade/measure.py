@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from chona_model.actor import Actor, Picture
-from chona_model.data.dataset import View, load_pixels
+from chona_model.data.dataset import View
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import mean_of_known, psnr, ssim
 from chona_model.settings import RENDER_PRESETS, RenderSettings
 from chona_model.trade.cost import Cost, fit_cost

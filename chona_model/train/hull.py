@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from chona_model.data.dataset import Pixels, View
+from chona_model.data.dataset import View
+from chona_model.data.images import Pixels
 from chona_model.deform.voxels import distance_to_bones
 from chona_model.grid_model import GridModel, PosedFigure
 from chona_model.kernels.cpu.march import carve

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from chona_model.camera import Camera
-from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
+from chona_model.data.dataset import Dataset, View
+from chona_model.data.images import Pixels, load_pixels
 from chona_model.data.soundness import check_dataset, check_pixels, check_seen
 from chona_model.grid_model import PosedFigure
 from chona_model.render.posed import PosedPart, depth_spans

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from chona_model.actor import Actor
-from chona_model.data.dataset import Dataset, Pixels, View, load_pixels
+from chona_model.data.dataset import Dataset, View
+from chona_model.data.images import Pixels, load_pixels
 from chona_model.formats.picture import save_picture
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.errors import decibels

@@ -30,7 +30,7 @@ CLAIM_OF_MEMORY = 2
 
 def _read(root: Path, layout: str) -> None:
     """What training and check-data open; what is read must be finite and name nothing outside."""
-    from chona_model.data.dataset import load_pixels
+    from chona_model.data.images import load_pixels
     from chona_model.data.opener import open_dataset
     from chona_model.data.soundness import check_dataset, check_pixels
 
@@ -272,7 +272,8 @@ def test_a_picture_that_claims_a_gigapixel_is_not_unpacked(capture: Path, layout
 
 def test_a_chunk_that_claims_gigabytes_is_not_believed(tmp_path: Path) -> None:
     """A picture of another picture's size with a chunk of 2.6 GB behind its data: Pillow would ask for as much."""
-    from chona_model.data.dataset import DatasetError, read_image
+    from chona_model.data.dataset import DatasetError
+    from chona_model.data.images import read_image
 
     content = _png_of(2, 1, zlib.compress(bytes(7)))
     at = content.index(b"IDAT") - 4

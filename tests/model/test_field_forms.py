@@ -12,7 +12,8 @@ import torch
 from tiny_capture import tiny_capture
 from tiny_models import tiny_trainer
 
-from chona_model.data.dataset import Dataset, load_pixels
+from chona_model.data.dataset import Dataset
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.grid_actor import GridActor
 from chona_model.grid_model import GridModel

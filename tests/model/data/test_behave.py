@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from chona_model.data.behave import UPRIGHT, read_behave
-from chona_model.data.dataset import DatasetError, load_pixels
+from chona_model.data.dataset import DatasetError
+from chona_model.data.images import load_pixels
 from chona_model.data.lens import Lens
 
 SEQUENCE = "Date01_Sub01_crate_lift"

@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw
 from chona_model.data.behave import UPRIGHT, read_behave
 from chona_model.data.behave_objects import read_ply_vertices
 from chona_model.data.body_model import read_body_model, reduced_pose
-from chona_model.data.dataset import Dataset, View, load_pixels
+from chona_model.data.dataset import Dataset, View
+from chona_model.data.images import load_pixels
 from chona_model.data.restricted_pickle import read_pickle
 from chona_model.skeleton import canonical_to_world
 

@@ -10,7 +10,8 @@ from PIL import Image
 from scipy.optimize import root
 
 from chona_model.camera import Camera
-from chona_model.data.dataset import MaskRule, Pose, View, load_pixels
+from chona_model.data.dataset import MaskRule, Pose, View
+from chona_model.data.images import load_pixels
 from chona_model.data.lens import Lens
 
 INTRINSICS = np.array([[200.0, 0.0, 100.5], [0.0, 190.0, 70.5], [0.0, 0.0, 1.0]])

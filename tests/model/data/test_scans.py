@@ -13,7 +13,8 @@ from PIL import Image
 
 from chona_model.camera import Camera
 from chona_model.data.behave_objects import read_ply_vertices
-from chona_model.data.dataset import Dataset, DatasetError, View, load_pixels
+from chona_model.data.dataset import Dataset, DatasetError, View
+from chona_model.data.images import load_pixels
 from chona_model.data.opener import guess_format, open_dataset
 from chona_model.data.placing import HULL_CELLS, MARGIN, hull_points, place
 

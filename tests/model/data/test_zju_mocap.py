@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
 from chona_model.data.body_model import read_body_model
-from chona_model.data.dataset import DatasetError, load_pixels
+from chona_model.data.dataset import DatasetError
+from chona_model.data.images import load_pixels
 from chona_model.data.lens import Lens
 from chona_model.data.opener import guess_format, open_dataset
 from chona_model.data.zju_mocap import read_zju_mocap

@@ -12,7 +12,8 @@ from tiny_capture import tiny_capture, tiny_pose
 from tiny_models import SETTINGS, trained
 
 from chona_model.camera import Camera
-from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Pose, load_pixels
+from chona_model.data.dataset import Dataset, DatasetError, ObjectShape, Pose
+from chona_model.data.images import load_pixels
 from chona_model.data.renamed import renamed
 from chona_model.evaluate.metrics import psnr
 from chona_model.formats.model_file import ModelFileError, read_header

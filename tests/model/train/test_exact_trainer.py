@@ -9,7 +9,7 @@ import pytest
 import torch
 from tiny_capture import tiny_capture
 
-from chona_model.data.dataset import load_pixels
+from chona_model.data.images import load_pixels
 from chona_model.deform.skinning import DeformShape
 from chona_model.exact_actor import ExactActor
 from chona_model.field.radiance import FieldShape

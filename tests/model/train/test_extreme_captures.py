@@ -16,7 +16,8 @@ from tiny_runs import fast_trainer, paper_trainer, train
 
 import chona_model.train.pixels as pixels_module
 from chona_model.data.checks import check_data
-from chona_model.data.dataset import Dataset, DatasetError, SkinnedSurface, load_pixels
+from chona_model.data.dataset import Dataset, DatasetError, SkinnedSurface
+from chona_model.data.images import load_pixels
 from chona_model.train.errors import TrainingError
 from chona_model.train.run import TrainRun, make_trainer
 

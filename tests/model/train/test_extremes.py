@@ -10,7 +10,8 @@ import torch
 from tiny_capture import tiny_capture
 from tiny_runs import RATES, fast_trainer, paper_trainer, train
 
-from chona_model.data.dataset import Dataset, load_pixels
+from chona_model.data.dataset import Dataset
+from chona_model.data.images import load_pixels
 from chona_model.model_store import load_actor
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.errors import TrainingError

@@ -11,7 +11,8 @@ from PIL import Image
 from tiny_capture import tiny_capture
 from tiny_models import SETTINGS, SHAPE, tiny_trainer, trained
 
-from chona_model.data.dataset import DatasetError, load_pixels
+from chona_model.data.dataset import DatasetError
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.metrics import psnr
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train import grid_trainer

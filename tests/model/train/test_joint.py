@@ -10,7 +10,8 @@ import pytest
 from tiny_capture import tiny_capture
 from tiny_models import SETTINGS, tiny_trainer
 
-from chona_model.data.dataset import Dataset, load_pixels
+from chona_model.data.dataset import Dataset
+from chona_model.data.images import load_pixels
 from chona_model.data.opener import join_datasets
 from chona_model.data.renamed import renamed
 from chona_model.evaluate.metrics import psnr

@@ -12,7 +12,8 @@ from tiny_capture import tiny_capture
 from tiny_models import tiny_trainer
 
 from chona_model import command_line
-from chona_model.data.dataset import Dataset, Pose, load_pixels
+from chona_model.data.dataset import Dataset, Pose
+from chona_model.data.images import load_pixels
 from chona_model.evaluate.run import evaluate
 from chona_model.figure import Rig, make_figure
 from chona_model.methods import METHODS, method_of

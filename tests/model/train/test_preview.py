@@ -12,7 +12,8 @@ from safetensors.torch import load_file
 from tiny_capture import tiny_capture
 from tiny_runs import fast_trainer, paper_trainer, train
 
-from chona_model.data.dataset import Dataset, load_pixels
+from chona_model.data.dataset import Dataset
+from chona_model.data.images import load_pixels
 from chona_model.formats.model_file import read_header
 from chona_model.settings import RENDER_PRESETS
 from chona_model.train.grid_trainer import GridTrainer
