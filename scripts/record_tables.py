@@ -1,6 +1,8 @@
 """Takes what ``chona reproduce`` made into the repository: figures, pictures, and the tables of ``docs/results.md``.
 
-python scripts/record_tables.py OUT     (the folder that was given as --out)
+python scripts/record_tables.py OUT [PROTOCOL]     (the folder that was given as --out)
+
+PROTOCOL names another protocol than the one all tables were made with: ``full`` goes between the marks TABLE-full.
 """
 
 from __future__ import annotations
@@ -22,19 +24,20 @@ COLOURS = 256
 """Of the pictures, so that they are small."""
 
 
-def main(out: Path) -> None:
+def main(out: Path, protocol: str = "") -> None:
     """Every table of ``out`` that has a result."""
+    ending = f"-{protocol}" if protocol else ""
     page = PAGE.read_text("utf-8")
     for name in read_tables():
         file = out / name / f"{name}.json"
         if not file.is_file():
             continue
         content = json.loads(file.read_text("utf-8"))
-        write_bytes(RESULTS / f"reproduce-{name}.json", (json.dumps(content, indent=1) + "\n").encode())
-        page = with_table(page, name, table_of(content))
+        write_bytes(RESULTS / f"reproduce-{name}{ending}.json", (json.dumps(content, indent=1) + "\n").encode())
+        page = with_table(page, name + ending, table_of(content))
         picture = file.with_suffix(".png")
         if picture.is_file():
-            with Image.open(picture) as image, atomic_path(PICTURES / f"reproduce-{name}.png") as temporary:
+            with Image.open(picture) as image, atomic_path(PICTURES / f"reproduce-{name}{ending}.png") as temporary:
                 image.quantize(COLOURS).save(temporary, format="PNG", optimize=True)
     write_bytes(PAGE, page.encode())
 
@@ -54,6 +57,6 @@ def with_table(page: str, name: str, table: str) -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) not in (2, 3):
         raise SystemExit(__doc__)
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])

@@ -22,7 +22,7 @@ def test_the_page_has_the_figures_of_the_file(file: Path) -> None:
     spec.loader.exec_module(script)
     content = json.loads(file.read_text("utf-8"))
     page = (ROOT / "docs" / "results.md").read_text("utf-8")
-    assert script.with_table(page, content["table"], script.table_of(content)) == page
+    assert script.with_table(page, file.stem.removeprefix("reproduce-"), script.table_of(content)) == page
     table = read_tables()[content["table"]]
     assert list(content["rows"]) == list(table.rows)
     for row, words in table.rows.items():
