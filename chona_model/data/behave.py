@@ -27,23 +27,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from chona_model.camera import Camera, CameraError, is_rotation, rigid
+from chona_model.camera import Camera, rigid
+from chona_model.data.behave_cameras import UPRIGHT, read_camera
 from chona_model.data.behave_objects import read_object_shape
 from chona_model.data.body_model import BodyModel, body_model_folders, find_body_model, read_body_model, reduced_pose
 from chona_model.data.dataset import Dataset, DatasetError, Person, Pose, SkinnedSurface, View
 from chona_model.data.lens import Lens
-from chona_model.data.reading import chosen_frames, counted, is_usable, real_numbers
+from chona_model.data.reading import chosen_frames, counted, is_usable, json_object, real_numbers
 from chona_model.data.restricted_pickle import read_pickle
-from chona_model.plain_json import JsonError, parse, read_text
 from chona_model.skeleton import SMPL
-
-UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""Our world from BEHAVE's: x stays, down becomes −z, forward becomes y."""
 
 OBJECT_MASKS = ("obj_rend_mask.jpg", "obj_rend_mask.png", "obj_mask.jpg", "obj_mask.png")
 PERSON_MASKS = ("person_mask.jpg", "person_mask.png")
 MOST_KINECTS = 64
-LONGEST_PATH = 1000
 OBJECT_FOLDERS = {"basketball": "sports ball", "yogaball": "sports ball", "chairblack": "chair", "chairwood": "chair"}
 """BEHAVE names some fits by the detector's category and not by the object."""
 
@@ -120,7 +116,9 @@ def read_behave(root: Path, sequences: Sequence[str] | None = None, body_model_d
     for frame in frames:
         sequence = frame.sequence
         if sequence.name not in cameras:
-            cameras[sequence.name] = {kinect: _read_camera(root, sequence, kinect) for kinect in sequence.kinects}
+            cameras[sequence.name] = {
+                kinect: read_camera(root, sequence.folder, sequence.info, kinect) for kinect in sequence.kinects
+            }
         bones = models[sequence.gender].world_from_bone(reduced_pose(frame.pose), frame.betas, frame.trans)
         pose = Pose(sequence.person, (sequence.object,), UPRIGHT @ bones, UPRIGHT @ frame.world_from_object[None])
         views.extend(_views(frame, pose, cameras[sequence.name], gaps))
@@ -146,7 +144,7 @@ def _present(root: Path) -> list[str]:
 
 
 def _read_sequence(folder: Path) -> _Sequence:
-    info = _read_json(folder / "info.json", "the sequence's config, intrinsic, gender and kinects")
+    info = json_object(folder / "info.json", "the sequence's config, intrinsic, gender and kinects")
     parts = folder.name.split("_")
     if len(parts) < 3:
         raise DatasetError(f"the sequence folder is called '{folder.name}', expected DATE_SUBJECT_OBJECT[_ACTION]")
@@ -224,57 +222,6 @@ def _read_persons(frames: list[_Frame], models: dict[str, BodyModel]) -> dict[st
     return persons
 
 
-def _read_camera(root: Path, sequence: _Sequence, kinect: int) -> tuple[Camera, Lens | None]:
-    """The camera, and its lens where that distorts."""
-    intrinsics = _calibration_file(root, sequence, "intrinsic", f"{kinect}/calibration.json", "calibs/intrinsics")
-    date = sequence.name.split("_")[0]
-    pose = _calibration_file(root, sequence, "config", f"{kinect}/config.json", f"calibs/{date}/config")
-    try:
-        color = _read_json(intrinsics, "the colour camera's intrinsics")["color"]
-        stated = _read_json(pose, "the camera's rotation and translation")
-        # BEHAVE puts the centre of the first pixel at 0, this package at 0.5.
-        matrix = real_numbers(
-            [[color["fx"], 0.0, color["cx"] + 0.5], [0.0, color["fy"], color["cy"] + 0.5], [0.0, 0.0, 1.0]]
-        )
-        rotation = real_numbers(stated["rotation"]).reshape(3, 3)
-        world_from_camera = rigid(rotation, real_numbers(stated["translation"]))
-        lens = Lens.opencv(real_numbers(color.get("opencv", [])[4:]))  # behind fx, fy, cx, cy
-        width, height = int(color["width"]), int(color["height"])
-        if not is_rotation(rotation):
-            raise CameraError("the rotation is not one (to 0.001)")
-        camera = Camera(matrix, UPRIGHT @ world_from_camera, width, height)
-    except (KeyError, TypeError, ValueError, OverflowError, CameraError) as error:
-        raise DatasetError(
-            f"the calibration in {intrinsics} and {pose} is not BEHAVE's: {type(error).__name__} {error}; expected "
-            "color.fx, fy, cx, cy, width, height, and rotation [9] (camera to world, row by row), translation [3]"
-        ) from error
-    return camera, lens
-
-
-def _calibration_file(root: Path, sequence: _Sequence, key: str, name: str, usual: str) -> Path:
-    """info.json names calibrations relative to its folder, to the root, or where its authors once had them.
-
-    What it names outside of the root is passed over.
-    """
-    stated = sequence.info.get(key)
-    places = [sequence.folder / stated, root / stated] if isinstance(stated, str) and len(stated) < LONGEST_PATH else []
-    for place in (*(place for place in places if _within(place, root)), root / usual):
-        if (place / name).is_file():
-            return place / name
-    raise DatasetError(
-        f"{sequence.name} has no calibration {name}: looked in {', '.join(str(p) for p in (*places, root / usual))}; "
-        "copy BEHAVE's folder 'calibs' beside 'sequences'"
-    )
-
-
-def _within(place: Path, root: Path) -> bool:
-    """Whether a place lies in the root once '..' and links are followed; not where it can be no path."""
-    try:
-        return place.resolve().is_relative_to(root.resolve())
-    except (OSError, ValueError):
-        return False
-
-
 def _category(sequence: _Sequence) -> str:
     """What info.json says the object is, where that can be a folder's name."""
     stated = sequence.info.get("cat")
@@ -298,13 +245,3 @@ def _views(
 
 def _first(folder: Path, stem: str, endings: tuple[str, ...]) -> Path | None:
     return next((path for path in (folder / f"{stem}.{ending}" for ending in endings) if path.is_file()), None)
-
-
-def _read_json(path: Path, content: str) -> dict[str, Any]:
-    try:
-        parsed = parse(read_text(path))
-    except (OSError, JsonError) as error:
-        raise DatasetError(f"cannot read {path}: {error}; expected {content}") from error
-    if not isinstance(parsed, dict):
-        raise DatasetError(f"{path} holds a {type(parsed).__name__}, expected an object with {content}")
-    return parsed

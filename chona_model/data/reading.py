@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from chona_model.data.dataset import DatasetError
-from chona_model.plain_json import shortened
+from chona_model.plain_json import JsonError, parse, read_text, shortened
 
 LARGEST_FIT = 1e5
 """Metres, radians or betas of a fit: beyond, it is no more use than a NaN."""
@@ -75,3 +76,18 @@ def is_usable(fit: Mapping[str, np.ndarray], vectors: Collection[str], path: Pat
     if wrong is not None:
         raise DatasetError(f"{path}: {wrong} has {fit[wrong].size} numbers, expected 3")
     return all(bool((np.abs(array) <= LARGEST_FIT).all()) for array in fit.values())
+
+
+def json_object(path: Path, content: str) -> dict[str, Any]:
+    """A file's JSON, which must be an object; ``content`` says of what, for the message.
+
+    Raises:
+        DatasetError: it cannot be read, or holds something else.
+    """
+    try:
+        parsed = parse(read_text(path))
+    except (OSError, JsonError) as error:
+        raise DatasetError(f"cannot read {path}: {error}; expected {content}") from error
+    if not isinstance(parsed, dict):
+        raise DatasetError(f"{path} holds a {type(parsed).__name__}, expected an object with {content}")
+    return parsed
