@@ -79,16 +79,17 @@ def check_steady(course: Course, record: Callable[[str, object], None], phases: 
     in its first."""
     first, last = course.between(WARM, WARM + 0.1), course.between(0.9, 1.0)
     before, after = (float(np.median(course.megabytes[part])) for part in (first, last))
-    files = course.files
+    # Not the most: whoever looks while a checkpoint is written sees its file as well.
+    few, many = (float(np.median(course.files[part])) for part in (first, last))
     record("megabytes", f"{before:.1f} to {after:.1f}")
-    record("files", f"{files[first].max()} to {files[last].max()}")
+    record("files", f"{few:g} to {many:g}")
     paces = []
     for begin, end in pairwise(phases):
         quarter = (end - begin) / 4
         paces.append([course.pace(course.between(a, a + quarter)) for a in (begin, end - quarter)])
     record("milliseconds", ", ".join(f"{1e3 * quick:.2f} to {1e3 * slow:.2f}" for quick, slow in paces))
     assert after < before * (1.0 + GROWTH)
-    assert files[last].max() <= files[first].max()
+    assert many <= few
     assert all(slow < quick * (1.0 + SLOWDOWN) for quick, slow in paces), paces
 
 
