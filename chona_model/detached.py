@@ -83,7 +83,7 @@ def describe_jobs(folder: Path, stop: bool) -> list[str]:
 def _sentence(path: Path, content: dict[str, Any], runs: bool, asked: bool) -> str:
     name = path.stem.removeprefix(".chona-").replace("-", " ", 1)
     told, end, owner = content["progress"] or content["start"] or {}, content["end"], content["owner"]
-    done = f"{told.get('done', 0):g} of {told.get('total') or 0:g}" if told else "it has not begun"
+    done = f"{told.get('done') or 0:g} of {told.get('total') or 0:g}" if told else "it has not begun"
     if runs:
         left = f", {told['eta']:.0f} s left" if told.get("eta") is not None else ""
         who = f"process {owner['pid']} on {owner['host']} since {content['since']}"

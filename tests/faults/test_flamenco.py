@@ -179,6 +179,7 @@ def test_a_composite_that_is_no_video_makes_none(manager: Manager, settings: dic
     assert names == ["shot", "bake-1", "composite", "render-1"]
 
 
+@pytest.mark.slow
 def test_its_commands_bake_what_one_bake_would(manager: Manager, settings: dict, tmp_path: Path) -> None:
     """Names with spaces and signs that shells, globs and formats read; a frame that is there is left alone."""
     folder = tmp_path / "sc 01 'a' $HOME [x]*"

@@ -7,6 +7,7 @@ import random
 import sys
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +52,10 @@ def check_frames(out: Path, whole: Path) -> None:
 
 def test_a_training_killed_at_random_moments(scene: Scene, tmp_path: Path, often: Often) -> None:
     chance, kills, number = random.Random(1), often(4, 100), 0
-    while number < kills:
-        out = tmp_path / f"run{number}"
+    for turn in count():
+        if number >= kills:
+            break
+        out = tmp_path / f"run{turn}"  # anew: in one that is done nothing is left to be killed
         for _ in range(LIVES):
             child = scene.nursery.start(scene.train(out))
             child.wait_for("start")
@@ -74,8 +77,10 @@ def test_a_training_killed_at_its_files(scene: Scene, tmp_path: Path, often: Oft
 
 def test_a_bake_killed_at_random_moments(scene: Scene, tmp_path: Path, often: Often) -> None:
     chance, kills, number = random.Random(3), often(6, 100), 0
-    while number < kills:
-        out = tmp_path / f"out{number}"
+    for turn in count():
+        if number >= kills:
+            break
+        out = tmp_path / f"out{turn}"
         for _ in range(LIVES):
             child = scene.nursery.start(scene.bake(out))
             child.wait_for("start")

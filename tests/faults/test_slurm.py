@@ -124,6 +124,7 @@ def test_a_missing_program_is_refused(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_array_bakes_what_one_bake_would(tmp_path: Path) -> None:
     """With names that a shell would take apart; a task that is requeued renders nothing again."""
     folder = tmp_path / "sc 01; touch owned & 'a' $(touch owned) *?[x] \"q\" \\"

@@ -399,7 +399,8 @@ def test_a_folder_in_the_way_of_the_json(work: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGINT])
+@pytest.mark.slow  # in CI: tests/faults/test_processes.py
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_training_with_its_model_written(work: Path, tmp_path: Path, number: int) -> None:
     command = ["train", "--data", "capture", "--out", str(tmp_path), "--steps", "1000000", "--progress", "json"]
     process = subprocess.Popen(
@@ -463,6 +464,7 @@ def test_a_reader_that_goes_away_is_no_traceback(work: Path, tmp_path: Path) -> 
         process.stderr.close()
 
 
+@pytest.mark.slow
 def test_a_bake_within_a_bound_says_what_it_reached(work: Path, tmp_path: Path) -> None:
     bounded = ("--frames", "0", "--max-error", "0.1")
     done = bake(work, tmp_path, *bounded, "--progress", "json")

@@ -76,11 +76,15 @@ def test_jobs_that_have_ended(tmp_path: Path) -> None:
     for name, end in ends.items():
         content = json.dumps({**said, "progress": progress, "end": end})
         (tmp_path / f".chona-{name}.json").write_text(content, "utf-8")
+    begun = {"event": "start", "job": "bake", "total": 50}  # killed before the first of them was done
+    content = json.dumps({**said, "start": begun, "progress": None, "end": None})
+    (tmp_path / ".chona-bake-d.json").write_text(content, "utf-8")
     (tmp_path / ".chona-bake-bad.json").write_text('{"version": 1, "owner": 3}', "utf-8")
     listed = chona("jobs", ".", cwd=tmp_path)
     assert listed.stdout.splitlines() == [
         "bake a-b: done; today",
         "bake c: failed: the disk is full; today",
+        "bake d: killed after today, 0 of 50; the same command goes on",
         "train: killed after today, 12 of 50; the same command goes on",
     ]
 

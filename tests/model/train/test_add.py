@@ -151,6 +151,7 @@ def test_dense_levels_that_would_not_fit_keep_their_size() -> None:
     assert (layout.dims[~dense] > model.field.layout.dims[~dense]).all()
 
 
+@pytest.mark.slow
 def test_a_run_that_was_ended_goes_on(tmp_path: Path) -> None:
     base = base_model(tmp_path)
     dataset = alone(tmp_path / "data", objects=0)

@@ -15,6 +15,8 @@ from chona_model.train.run import TrainRun, held_folder, run_trainer
 
 COMPILING = 2.0
 """Seconds."""
+ROUNDING = 0.01
+"""Seconds, of what two runs say."""
 
 
 class SlowToStart(GridTrainer):
@@ -50,4 +52,4 @@ def test_compiling_is_not_counted_also_when_resumed(tmp_path: Path) -> None:
         seconds.append(training["seconds"])
         stepped += trainer.stepped
     assert (np.diff(seconds) > 0.0).all()
-    assert stepped < seconds[-1] < stepped + COMPILING / 2
+    assert stepped - ROUNDING < seconds[-1] < stepped + COMPILING / 2
