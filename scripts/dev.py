@@ -77,9 +77,13 @@ def test(words: list[str]) -> None:
     lint()
     bpy = os.environ.get("CHONA_BPY", str(program(BLENDER_ENV, "python")))
     # Files go side by side, each whole: what a module's fixtures make is made once.
-    beside = ["-n", str(min(os.cpu_count() or 1, MOST_TESTERS)), "--dist", "loadfile"]
+    cores = os.cpu_count() or 1
+    testers = min(cores, MOST_TESTERS)
+    beside = ["-n", str(testers), "--dist", "loadfile"]
+    # Each has its share of the cores: more of torch's threads than cores wait for each other in circles.
+    threads = str(max(1, cores // testers))
     quick = ["-m", "not slow and not blender and not gpu"]
-    run(program(ENV, "python"), "-m", "pytest", *quick, *beside, *words, CHONA_BPY=bpy)
+    run(program(ENV, "python"), "-m", "pytest", *quick, *beside, *words, CHONA_BPY=bpy, OMP_NUM_THREADS=threads)
 
 
 def test_faults(words: list[str]) -> None:
