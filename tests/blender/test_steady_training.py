@@ -41,6 +41,7 @@ def test_a_killed_training_is_told_and_resumed(python: str, tmp_path: Path) -> N
     assert rows[0][2][1:] == told[1:]
     assert answer["left"] == [[], [], True] and answer["resume"]
     assert answer["resumed"] == [["FINISHED"]] * 2
+    assert answer["told when it runs again"] == ["", ""]
     assert [row[:2] for row in answer["rows"]] == [["one", "DONE"], ["two", "DONE"]]
     killed, whole = (tensors_of(tmp_path / name / "model.safetensors") for name in ("one", "two"))
     assert killed == whole

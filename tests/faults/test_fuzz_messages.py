@@ -267,7 +267,7 @@ def _write_streams(folder: Path, examples: int) -> int:
 
     @seed(SEED)
     @settings(
-        max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck),
+        max_examples=examples, database=None, suppress_health_check=list(HealthCheck),
         phases=[Phase.generate],
     )  # fmt: skip
     @given(spoiled_stream())

@@ -6,7 +6,7 @@ import json
 import random
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
@@ -50,18 +50,30 @@ def check_frames(out: Path, whole: Path) -> None:
         np.testing.assert_array_equal(one.depth, other.depth)
 
 
-def test_a_training_killed_at_random_moments(scene: Scene, tmp_path: Path, often: Often) -> None:
-    chance, kills, number = random.Random(1), often(4, 100), 0
+def killed_at_random(
+    scene: Scene, words: Callable[[Path], list[str]], within: float, kills: int, folder: Path, seed: int
+) -> Iterator[Path]:
+    """Folders of work that was killed ``LIVES`` times and then let end, each a new one, until ``kills`` came in time.
+
+    Args:
+        words: of the program, by its folder; within: seconds after its begin.
+    """
+    chance, done = random.Random(seed), 0
     for turn in count():
-        if number >= kills:
-            break
-        out = tmp_path / f"run{turn}"  # anew: in one that is done nothing is left to be killed
+        if done >= kills:
+            return
+        out = folder / str(turn)
         for _ in range(LIVES):
-            child = scene.nursery.start(scene.train(out))
+            child = scene.nursery.start(words(out))
             child.wait_for("start")
-            time.sleep(chance.uniform(0.0, TRAIN_SECONDS))
-            number += child.kill() == KILLED
-        scene.nursery.start(scene.train(out)).finish()
+            time.sleep(chance.uniform(0.0, within))
+            done += child.kill() == KILLED
+        scene.nursery.start(words(out)).finish()
+        yield out
+
+
+def test_a_training_killed_at_random_moments(scene: Scene, tmp_path: Path, often: Often) -> None:
+    for out in killed_at_random(scene, scene.train, TRAIN_SECONDS, often(4, 100), tmp_path, 1):
         check_run(out, scene.run)
 
 
@@ -76,17 +88,7 @@ def test_a_training_killed_at_its_files(scene: Scene, tmp_path: Path, often: Oft
 
 
 def test_a_bake_killed_at_random_moments(scene: Scene, tmp_path: Path, often: Often) -> None:
-    chance, kills, number = random.Random(3), often(6, 100), 0
-    for turn in count():
-        if number >= kills:
-            break
-        out = tmp_path / f"out{turn}"
-        for _ in range(LIVES):
-            child = scene.nursery.start(scene.bake(out))
-            child.wait_for("start")
-            time.sleep(chance.uniform(0.0, BAKE_SECONDS))
-            number += child.kill() == KILLED
-        scene.nursery.start(scene.bake(out)).finish()
+    for out in killed_at_random(scene, scene.bake, BAKE_SECONDS, often(6, 100), tmp_path, 3):
         check_frames(out, scene.frames)
 
 

@@ -26,8 +26,7 @@ for name, folder in json.loads(sys.argv[1]):
         scene.chona.output_folder = ""
         row = train_rows.trainings().rows.add()
         row.key, row.name, row.run_folder, row.state = "k", "run", folder, train_rows.PAUSED
-    messages.remember_error("")
-    messages.news().clear()
+    messages.forget()
     result = list(bpy.ops.chona.pick_up())
     told.append(
         {

@@ -61,9 +61,10 @@ answer["left"] = [stage.children(), stage.timers(), jobs.running() is None]
 train_rows.select(train_rows.rows()[0].key)
 answer["resume"] = bpy.ops.chona.resume_training.poll()
 train_queue.resume(train_rows.rows()[0])  # as the button; Blender forgets the operator that one here is made from
-answer["resumed"] = []
+answer["resumed"], answer["told when it runs again"] = [], []
 while train_queue.next_waiting() is not None:
     bpy.ops.chona.steady_trainings()
+    answer["told when it runs again"].append(messages.last_error())
     answer["resumed"].append(stage.finish())
 answer["rows"] = rows()
 say(answer)

@@ -18,7 +18,7 @@ from chona_model.kernels.volume import integrate
 from chona_model.render.frustum import conical_frusta
 from chona_model.render.integration import ray_weights
 
-FEW = settings(max_examples=40, deadline=None, derandomize=True)
+FEW = settings(max_examples=40, derandomize=True)
 
 magnitudes = st.one_of(st.just(0.0), st.floats(-30, 30).map(lambda e: float(np.float32(10.0**e))))
 """0, and 1e-30 … 1e30, evenly over the exponents."""

@@ -73,7 +73,7 @@ APPOINTMENTS = sorted({
 
 
 @pytest.mark.parametrize("whole", ["fast"], indirect=True)
-@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_step_can_be_the_last_before_a_resume(whole: Whole, data) -> None:
     """Steps right before, at and after an appointment are as likely as all others."""
